@@ -42,6 +42,7 @@ SIGNALS: dict[str, tuple[str, str, str]] = {
     "reference_torque": ("N m", "N m", "reference for comparison, from a sensor at the load"),
     "reference_current": ("A", "A", "set point of the motor that makes the load"),
     "temperature": ("degC", "degC", "of the motor"),
+    "rotor_angle": ("rad", "m", "at which the shaft is held while torque is measured"),
 }
 """Names with a fixed meaning in imports: unit on a rotary and on a linear axis, and description."""
 

@@ -12,8 +12,8 @@ beta, as large as the resolved orders suggest.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -155,6 +155,16 @@ def _quantiles(probable: Array, mean: Array, std: Array, parts: tuple[float, ...
     return quantiles
 
 
+@cache
+def _ratios() -> tuple[Array, Array]:
+    """Return the ratio of intervals of 95 and 68 %, negative so that it rises, and its dof."""
+    from scipy.special import stdtrit
+
+    degrees = np.geomspace(FEWEST_DOF, 1e4, 400)
+    ratios = stdtrit(degrees, 0.975) / stdtrit(degrees, 0.5 + ONE_SIGMA / 2)
+    return -np.asarray(ratios, dtype=np.float64), degrees
+
+
 def _as_student(probable: Array, mean: Array, std: Array) -> tuple[float, float, float]:
     """Return median, u and dof of Student's t with the mixture's intervals of 68 and 95 %."""
     from scipy.special import stdtrit
@@ -162,9 +172,7 @@ def _as_student(probable: Array, mean: Array, std: Array) -> tuple[float, float,
     half = ONE_SIGMA / 2
     parts = (0.025, 0.5 - half, 0.5, 0.5 + half, 0.975)
     q = _quantiles(probable, mean, std, parts)
-    degrees = np.geomspace(FEWEST_DOF, 1e4, 400)
-    ratios = stdtrit(degrees, 0.975) / stdtrit(degrees, 0.5 + half)
-    dof = float(np.interp(-(q[4] - q[0]) / (q[3] - q[1]), -ratios, degrees))
+    dof = float(np.interp(-(q[4] - q[0]) / (q[3] - q[1]), *_ratios()))
     return float(q[2]), float((q[4] - q[0]) / 2 / stdtrit(dof, 0.975)), dof
 
 
@@ -183,26 +191,25 @@ def _effect(
     """
     count, dim = z.shape[1], x.shape[1]
     every = np.concatenate([x, z], axis=1)
+    products, moments = every.T @ every, every.T @ y
     effect = np.zeros(count)
     shown = np.flatnonzero(probable > NEGLIGIBLE_PROBABILITY)
     weight = probable[shown] / probable[shown].sum()
     deviation, std = np.zeros(len(shown)), np.zeros(len(shown))
-    for index, number in enumerate(shown.tolist()):
-        place, case = divmod(number, len(amplitude) * len(ERROR_FACTORS))
-        size, excess = (
-            amplitude[case // len(ERROR_FACTORS)],
-            ERROR_FACTORS[case % len(ERROR_FACTORS)],
-        )
-        order = highest[place]
-        used = dim + 2 * order
-        precision = every[:, :used].T @ every[:, :used] / excess**2
-        precision[range(dim, used), range(dim, used)] += size**-2.0
+    place, case = np.divmod(shown, len(amplitude) * len(ERROR_FACTORS))
+    size = amplitude[case // len(ERROR_FACTORS)]
+    excess = ERROR_FACTORS[case % len(ERROR_FACTORS)]
+    for one in np.unique(place).tolist():
+        own, used = np.flatnonzero(place == one), dim + 2 * highest[one]
+        precision = products[:used, :used] / excess[own, None, None] ** 2
+        precision[:, range(dim, used), range(dim, used)] += size[own, None] ** -2.0
         covariance = np.linalg.inv(precision)
-        mean = (covariance @ (every[:, :used].T @ y) / excess**2)[dim:]
-        covariance = covariance[dim:, dim:]
-        effect[: used - dim] += weight[index] * mean
-        square = float(mean @ mean + np.trace(covariance)) / 2
-        spread = float(np.sum(covariance**2) / 2 + mean @ covariance @ mean)
-        deviation[index] = math.sqrt(square)
-        std[index] = math.sqrt(spread) / (2 * deviation[index]) if square > 0 else 0.0
+        mean = (covariance @ moments[:used] / excess[own, None] ** 2)[:, dim:]
+        covariance = covariance[:, dim:, dim:]
+        effect[: used - dim] += weight[own] @ mean
+        square = (np.sum(mean**2, axis=1) + np.trace(covariance, axis1=1, axis2=2)) / 2
+        spread = np.sum(covariance**2, axis=(1, 2)) / 2
+        spread += np.einsum("hi,hij,hj->h", mean, covariance, mean)
+        deviation[own] = np.sqrt(square)
+        std[own] = np.sqrt(spread / np.maximum(square, 1e-300)) / 2
     return effect, _as_student(weight, deviation, np.maximum(std, 1e-9 * deviation.max() + 1e-300))

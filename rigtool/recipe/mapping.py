@@ -17,7 +17,7 @@ from pydantic import Field, field_validator, model_validator
 from rigtool.errors import RecipeError
 from rigtool.recipe.base import Section
 from rigtool.recipe.load import parse_toml, read_document, validate
-from rigtool.recipe.units import DATE, RATED, UNITS, require_unit, unit_name
+from rigtool.recipe.units import DATE, RATED, UNITS, ZEROS, require_unit, unit_name
 from rigtool.signals import SIGNALS
 
 MAPPING_VERSION = 1
@@ -195,7 +195,7 @@ class Condition(Section):
             raise ValueError("give one of `pattern`, `column` and `value`")
         if not _NAME.fullmatch(self.name):
             raise ValueError("name: use letters, digits and underscores, not a digit first")
-        if self.name == CONSTANT_SPEED and self.si[1] != "rad/s":
+        if self.name == CONSTANT_SPEED and self.si_unit != "rad/s":
             raise ValueError(f"{CONSTANT_SPEED} is a speed: give its unit, e.g. rpm")
         if isinstance(self.column, int) and self.column < 1:
             raise ValueError(f"columns are counted from 1, got {self.column}")
@@ -214,9 +214,14 @@ class Condition(Section):
             raise ValueError(f"pattern needs one pair of parentheses, has {groups}")
 
     @property
-    def si(self) -> tuple[float, str]:
-        """SI value of one `unit`, and its SI unit; a unit that is not known stays."""
-        return UNITS.get(unit_name(self.unit), (1.0, self.unit))
+    def si_unit(self) -> str:
+        """SI unit of `unit`; a unit that is not known stays."""
+        return UNITS.get(unit_name(self.unit), (1.0, self.unit))[1]
+
+    def si(self, value: float) -> tuple[float, str]:
+        """Return a number in `unit` in its SI unit, and that unit."""
+        unit = unit_name(self.unit)
+        return value * UNITS.get(unit, (1.0, ""))[0] + ZEROS.get(unit, 0.0), self.si_unit
 
 
 class Map(Section):
@@ -340,6 +345,10 @@ class Mapping(Section):
             turn = 2 * math.pi if self.rig.axis == "rotary" else 1.0
             return turn / signal.counts_per_turn
         return UNITS[signal.unit][0]
+
+    def zero(self, name: str) -> float:
+        """Return what 0 of the unit of a signal is in its SI unit."""
+        return ZEROS.get(self.signals[name].unit, 0.0)
 
     def description(self, name: str) -> str:
         """Return the description of a signal."""

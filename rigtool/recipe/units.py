@@ -72,8 +72,13 @@ UNITS: dict[str, tuple[float, str]] = {
     "lbf in": (POUND * STANDARD_GRAVITY * INCH, "N m"),
     "lbf ft": (12 * POUND * STANDARD_GRAVITY * INCH, "N m"),
     "degC": (1.0, "degC"),
+    "degF": (5 / 9, "degC"),
+    "K": (1.0, "degC"),
 }
 """Units that files may have: factor and SI unit. A mass is the weight that it has."""
+
+ZEROS = {"degF": -32 * 5 / 9, "K": -273.15}
+"""What 0 of a unit is in its SI unit, where that is not 0."""
 
 SPELLINGS = {
     "s": ("sec", "second", "seconds"),
@@ -95,6 +100,8 @@ SPELLINGS = {
     "%": ("percent",),
     "1": ("-", "none", "ratio"),
     "degC": ("°c", "celsius"),
+    "degF": ("°f", "fahrenheit"),
+    "K": ("kelvin",),
     "g": ("gf",),
     "kg": ("kgf", "kp"),
     "g cm": ("gf cm",),

@@ -271,7 +271,9 @@ class Hand(Section):
     speed_rev_per_s: PositiveRange = Field(
         (0.3, 2.0), description="each stretch draws its highest, of the motor, rev/s"
     )
-    stretch: PositiveRange = Field((1.0, 8.0), description="how long a pace lasts, s")
+    stretch: Annotated[
+        tuple[Annotated[float, Field(ge=0.01)], Annotated[float, Field(ge=0.01)]], *_Between
+    ] = Field((1.0, 8.0), description="how long a pace lasts, s")
     pause_share: float = Field(0.3, ge=0, lt=1, description="part of the stretches that rest")
     stiffness: float = Field(2.0, gt=0, le=1000, description="of the hand's grip, N m/rad")
     damping: float = Field(0.02, ge=0, le=10, description="of the hand's grip, N m s/rad")

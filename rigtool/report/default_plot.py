@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 import os
 from pathlib import Path
@@ -46,11 +45,10 @@ def write_plot(
         raise UsageError(f"{output}: cannot be drawn, use one of {', '.join(PLOT_FORMATS)}")
     output = require_output(output, overwrite=overwrite, inputs=[run.path])
     shown = chosen_name(run, name)
-    picture = io.BytesIO()
     with style.styled(), guard(run.path, f"what {shown} shows"):
-        draw_plot(run, shown).savefig(picture, format=kind[1:])
+        picture = style.save_figure(draw_plot(run, shown), kind[1:])
     with replacing(output) as new:
-        new.write_bytes(picture.getvalue())
+        new.write_bytes(picture)
     return shown
 
 

@@ -12,6 +12,8 @@ The simulation evaluates it sample by sample, everything else for arrays of time
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_right
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Protocol
@@ -59,8 +61,21 @@ class Path:
         """Return the pieces of the path."""
         raise NotImplementedError
 
+    @cached_property
+    def _listed(self) -> tuple[list[float], list[list[float]]]:
+        """Return where the pieces begin, and the pieces, as lists."""
+        return self.pieces[:, BEGIN].tolist(), self.pieces.tolist()
+
     def setpoint(self, time: Array) -> tuple[Array, Array, Array]:
         """See `Motion.setpoint`."""
+        if len(time) == 1:  # as each period of a controller asks; an array takes ten times as long
+            (now,) = time.tolist()
+            begins, rows = self._listed
+            row = rows[max(bisect_right(begins, now) - 1, 0)]
+            since = now - row[BEGIN]
+            phase = row[OMEGA] * since
+            x, v, a = follow(row, since, math.sin(phase), math.cos(phase))
+            return np.array([x]), np.array([v]), np.array([a])
         number = np.searchsorted(self.pieces[:, BEGIN], time, side="right") - 1
         piece = self.pieces.T.take(np.maximum(number, 0), axis=1)
         since = time - piece[BEGIN]

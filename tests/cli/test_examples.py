@@ -28,6 +28,7 @@ SHORTENED = {
     "calibrate-kt": "kt",
     "stribeck": "friction",
     "fft-ripple": "ripple",
+    "identify-plant": "plant",
     "ilc-learn": "tables",
     "measure-force": "force",
 }

@@ -3,6 +3,8 @@
 import numpy as np
 
 from rigtool.recipe.mapping import parse_mapping
+from rigtool.runfile import open_run
+from rigtool.runfile.export import export
 from rigtool.runfile.importers import import_files
 
 ORDERS = ((7, 0.8, 0.3), (14, 0.2, 1.0), (28, 0.2, -1.0))
@@ -43,3 +45,13 @@ def slow_turn(seed, reduced, speed=0.1, noise=0.01):
     current = sum(a * np.cos(2 * np.pi * k * moved + p) for k, a, p in ORDERS)
     current += random.normal(0, noise, len(time))
     return {"t": time, "q": np.mod(moved * COUNTS, COUNTS), "i": current}
+
+
+def crossed(folder, run, parts, text):
+    """Export parts of the bench's run as CSV and import them; return the paths."""
+    (folder / "raw").mkdir()
+    for part in parts:
+        with open_run(run) as stored:
+            export(stored, folder / "raw" / f"{part}.csv", f"recordings/{part}", overwrite=False)
+    import_files([str(folder / "raw")], str(folder / "runs"), (parse_mapping(text), text))
+    return [str(folder / "runs" / f"{part}.h5") for part in parts]

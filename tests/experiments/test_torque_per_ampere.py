@@ -20,7 +20,7 @@ def calibration(path, command="calibrate-kt", **more):
         **more,
     }
     with RunWriter(path, command=command, recipe=None, recipe_text=None) as writer:
-        writer.finish(results, {})
+        writer.finish({name: r for name, r in results.items() if r is not None}, {})
     return open_run(path)
 
 
@@ -36,6 +36,13 @@ def test_a_measured_current_does_not_pass_the_amplifier(tmp_path):
     with calibration(tmp_path / "kt.h5") as kt:
         found = torque_per_ampere(kt, of_measured_current=True)
     assert (found.value, found.dof) == (0.0454, 12.0)
+    assert found.u == pytest.approx(0.0454 * 3e-4, rel=1e-12)
+
+
+def test_without_an_amplifier_the_constant_is_all(tmp_path):
+    with calibration(tmp_path / "kt.h5", amplifier_gain=None) as kt:
+        found = torque_per_ampere(kt)
+    assert found.value == 0.0454
     assert found.u == pytest.approx(0.0454 * 3e-4, rel=1e-12)
 
 

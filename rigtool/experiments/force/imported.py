@@ -215,11 +215,17 @@ def _require_inside(measured: Sequence[Measured], model: LoadModel) -> list[str]
         f"{model.scales.standstill:.3g} rad/s) or after a reversal: the torque is the middle of a "
         "dead band there",
     ]
+    elsewhere = sum(model.elsewhere(item.signals.path) for item in measured)
+    if elsewhere and (factor := max(side.elsewhere for side in model.sides)) > 1:
+        notes.append(
+            f"strokes of {elsewhere} runs are at places of which none was learned: u is wider, up "
+            f"to {factor:.2g} times, as strokes show that were left out of learning"
+        )
     if wild.any():
         where = [item for item in measured if (~item.signals.path.regular).any()]
         notes.append(
             f"{int(np.sum(wild))} samples of {len(where)} runs belong to a transient, such as "
-            "homing, and have no value"
+            "homing, or have an effort at its limit, and have no value"
         )
     return notes
 

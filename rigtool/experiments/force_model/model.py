@@ -27,6 +27,7 @@ an order of the rotor's or the output's angle times what it modulates:
                                                    where pre-tension o hides it; and the same times
                                                    cos, sin of the output angle
     CARRIED           s / n                        what the torque factor is off
+    DELAY             kT di/dt                     time by which the current follows what is asked
 
 Bristles z follow P. R. Dahl, AIAA J. 14(12) 1675-1682, 1976; two of them in series of lengths are
 the smallest model of the Generalised Maxwell-Slip family (F. Al-Bender, V. Lampaert, J. Swevers,
@@ -64,6 +65,7 @@ class Kind(IntEnum):
     HOUSING_SIDED = 12
     LOAD_FRICTION = 13
     CARRIED = 14
+    DELAY = 15
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ _OF_TENDON = ("stiffness", "damping", "grasper_inertia", "tip_friction", "tip_le
 """Parameters of a shape on which the tendon depends."""
 
 _LAGGING = (Kind.RIPPLE, Kind.GAIN_RIPPLE, Kind.SQUARE_RIPPLE)
-_FIXED = (Kind.OFFSET, Kind.INERTIA, Kind.VISCOUS, Kind.COGGING)
+_FIXED = (Kind.OFFSET, Kind.INERTIA, Kind.VISCOUS, Kind.COGGING, Kind.DELAY)
 """Kinds that lag, and those that no shape changes."""
 
 
@@ -230,6 +232,8 @@ class RecordState:
             return (speed - np.abs(speed) * z) / self.shape.bearing_length
         if kind is Kind.CARRIED:
             return self.carried / self.known.torque_factor
+        if kind is Kind.DELAY:
+            return record.torque_constant * record.current_rate
         if kind in (Kind.HOUSING, Kind.HOUSING_SIDED, Kind.LOAD_FRICTION):
             value = wave(term, self.output) * self.housing
             if kind is Kind.HOUSING_SIDED:
@@ -282,6 +286,10 @@ RIPPLE_SPREAD = 0.01
 """Relative priors: friction per torque; torque per ampere and ratio; an order of the ripple."""
 
 
+DELAY_SPREAD = 0.3e-3
+"""Prior of the current's delay, s: that of a loop of 500 Hz."""
+
+
 def terms_for(sizes: Sizes, known: Known) -> tuple[Term, ...]:
     """Return the terms for a rig of these sizes."""
     listed = [
@@ -295,6 +303,7 @@ def terms_for(sizes: Sizes, known: Known) -> tuple[Term, ...]:
         Term(Kind.HOUSING_SIDED, 0.1 * sizes.friction),
         Term(Kind.LOAD_FRICTION, LOAD_FRICTION_SPREAD),
         Term(Kind.CARRIED, GAIN_SPREAD),
+        Term(Kind.DELAY, DELAY_SPREAD),
         Term(Kind.SQUARE_RIPPLE, RIPPLE_SPREAD / sizes.current),
     ]
     listed += _waves(Kind.VISCOUS, 0.3 * sizes.friction / sizes.speed, range(1, 3))

@@ -272,6 +272,7 @@ def _condition(recipe: Recipe, kt: Run, temperature: float, force: float) -> Loa
         force * rig.load_arm,
         force * rig.load_arm**2 / STANDARD_GRAVITY,
         2 * math.pi / rig.encoder_counts,
+        rig.sample_time / 2,
     )
 
 

@@ -92,12 +92,17 @@ class Record:
     @cached_property
     def speed(self) -> Array:
         """Speed of the rotor (n,), rad/s."""
-        return self._slope(1)
+        return self._slope(self.angle, 1)
 
     @cached_property
     def acceleration(self) -> Array:
         """Acceleration of the rotor (n,), rad/s2."""
-        return self._slope(2)
+        return self._slope(self.angle, 2)
+
+    @cached_property
+    def current_rate(self) -> Array:
+        """Rate of the current (n,), A/s."""
+        return self._slope(self.current, 1)
 
     def wave(self, order: int, quarter: int) -> Array:
         """Return cosine (quarter 0) or sine (1) of an order of the rotor's angle (n,)."""
@@ -109,16 +114,16 @@ class Record:
     def _waves(self) -> dict[tuple[int, int], Array]:
         return {}
 
-    def _slope(self, order: int) -> Array:
-        trend = np.linspace(self.angle[0], self.angle[-1], len(self.angle))
+    def _slope(self, signal: Array, order: int) -> Array:
+        trend = np.linspace(signal[0], signal[-1], len(signal))
         if self.periodic:
-            trend = np.zeros(len(self.angle))
-        spectrum = np.fft.rfft(self.angle - trend)
-        frequency = np.fft.rfftfreq(len(self.angle), self.interval)
+            trend = np.zeros(len(signal))
+        spectrum = np.fft.rfft(signal - trend)
+        frequency = np.fft.rfftfreq(len(signal), self.interval)
         gain = (2j * np.pi * frequency) ** order / (1 + (frequency / MOTION_HZ) ** 4)
-        slope = np.fft.irfft(spectrum * gain, len(self.angle))
+        slope = np.fft.irfft(spectrum * gain, len(signal))
         if order == 1 and not self.periodic:
-            slope += (self.angle[-1] - self.angle[0]) / (self.interval * (len(self.angle) - 1))
+            slope += (signal[-1] - signal[0]) / (self.interval * (len(signal) - 1))
         return slope
 
     @property
@@ -161,12 +166,14 @@ def lowpassed_rows(signals: Array, interval: float, cutoff_hz: float = LOWPASS_H
 @dataclass(frozen=True)
 class LoadCase:
     """Of a motion: the motor's `torque_constant` N m/A, the load's `moment` N m at 90 degrees and
-    its `load_inertia` kg m2, and the `count` rad of the encoder."""
+    its `load_inertia` kg m2, the `count` rad of the encoder, and the time `lead` s by which the
+    current that is asked for is recorded before it acts, in the middle of a sample and later."""
 
     torque_constant: float
     moment: float
     load_inertia: float
     count: float
+    lead: float = 0.0
 
 
 def repeated(
@@ -192,8 +199,9 @@ def repeated(
     size = next_fast_len(round(period * grid_hz), real=True)
     size += size % 2
     grid = starts[:-1, None] + np.arange(size) * (period / size)
-    angles = interpolated(encoder, grid.ravel() / interval).reshape(cycles, size)
-    currents = np.interp(grid.ravel(), time, current).reshape(cycles, size)
+    place = (grid.ravel() + under.lead) / interval
+    angles = interpolated(encoder, place).reshape(cycles, size)
+    currents = _within(current, grid.ravel() / interval).reshape(cycles, size)
     angle = steady_mean(angles) * under.count
     speed = np.gradient(np.interp(grid[0], time, setpoint), period / size)
     return Record(
@@ -218,11 +226,12 @@ def single(
     encoder, current, setpoint, interval = _thinned(encoder, current, setpoint, interval)
     size = prev_fast_len(len(encoder), real=True) // 2 * 2
     encoder, current, setpoint = encoder[:size], current[:size], setpoint[:size]
-    angle = interpolated(encoder, np.arange(0.5, size)) * under.count
+    place = np.arange(0.5, size) + under.lead / interval
+    angle = interpolated(encoder, place) * under.count
     return Record(
         interval,
         angle,
-        current,
+        _within(current, np.arange(0.5, size)),
         _sliding(angle, np.gradient(setpoint, interval), interval, under.count, False),
         under.torque_constant,
         under.moment,
@@ -238,6 +247,20 @@ def _thinned(
     """Return means of samples, `GRID_HZ` a second or as many as there are."""
     by = max(1, round(1 / (GRID_HZ * interval)))
     return _means(encoder, by), _means(current, by), _means(setpoint, by), interval * by
+
+
+def _within(means: Array, place: Array) -> Array:
+    """Return the signal whose means over samples are given (n,), at places of them.
+
+    It is the slope of the cubic spline through the sums of these means. A signal that is read as
+    its means, or interpolated linearly between these, is smaller: at a tenth of the samples' rate
+    by 2 and 5 %.
+    """
+    from scipy.interpolate import make_interp_spline
+
+    sums = np.concatenate([[0.0], np.cumsum(means)])
+    slope: Array = make_interp_spline(np.arange(len(sums)), sums).derivative()(place)
+    return slope
 
 
 def _means(signal: Array, by: int) -> Array:

@@ -164,7 +164,7 @@ def model_from(run: Run, recipe: Recipe) -> ForceModel:
             f"{run.path}: holds no model of motor and instrument (table {missing[0]}): learn again "
             "with ilc-learn --implementation D"
         )
-    table, rig = run.table(TERMS), recipe.rig
+    table, rig = run.table(TERMS), (run.recipe or recipe).rig  # coefficients rest on its values
 
     def value(name: str) -> float:
         return run.result(MODEL_PREFIX + name).value

@@ -43,8 +43,10 @@ def path_from_start(recipe: Recipe, seconds: float) -> tuple[float | None, Motio
     if own.kind == "path":
         assert own.file is not None
         time, angle = path_of(Path(own.file))
+        require_time(0.0, float(time[-1] - time[0]), own.time_max)
         return float(angle[0]) * ratio, path(time, angle * ratio)
     if own.kind == "sine":
+        require_time(0.0, 1 / own.frequency_hz, own.time_max)
         periods = math.ceil(seconds * own.frequency_hz)
         time = np.arange(periods * SINE_PIECES + 1) / (SINE_PIECES * own.frequency_hz)
         speed = high * math.pi * own.frequency_hz * np.sin(2 * math.pi * own.frequency_hz * time)
@@ -56,6 +58,7 @@ def path_from_start(recipe: Recipe, seconds: float) -> tuple[float | None, Motio
         turn_angle=math.radians(settings.turn_angle) * ratio,
         cycles=1,
     )
+    require_time(0.0, stroke.duration, own.time_max)
     cycles = math.ceil(seconds / stroke.duration)
     return 0.0, Triangle(stroke.low, stroke.high, stroke.speed, stroke.turn_angle, cycles)
 
@@ -83,27 +86,52 @@ def path_of(file: Path) -> tuple[Array, Array]:
     """
     try:
         with open_input(file, RecipeError) as stream:
-            time, angle = _numbers(stream.read().decode("utf-8"))
+            time, angle = _points(stream.read().decode("utf-8-sig"))
     except RecipeError as error:
         raise RecipeError(f"measure_force.motion.file {error}") from None
     except ValueError as error:
         raise RecipeError(
             f"measure_force.motion.file {file}: cannot be used as a path: {error}"
         ) from None
-    if len(time) < 2 or not np.isfinite([time, angle]).all() or np.diff(time).min() <= 0:
-        raise RecipeError(
-            f"measure_force.motion.file {file}: needs two points at least, numbers only, and times "
-            "that rise"
-        )
     return time, np.radians(angle)
 
 
-def _numbers(text: str) -> Array:
+def _points(text: str) -> Array:
+    """Return times and angles, (2, n), of a file's text; `ValueError` where it holds none."""
     head, *lines = text.splitlines() or [""]
     if tuple(name.strip() for name in head.split(",")) != PATH_COLUMNS:
-        raise ValueError(f"its first line must be {','.join(PATH_COLUMNS)}")
-    rows = [[float(field) for field in line.split(",")] for line in lines if line.strip()]
-    return np.array(rows, dtype=np.float64).reshape(len(rows), len(PATH_COLUMNS)).T
+        raise ValueError(f"its first line must be {','.join(PATH_COLUMNS)}, it is {head[:60]!r}")
+    points: list[tuple[float, float]] = []
+    for number, line in enumerate(lines, 2):
+        if not line.strip():
+            continue
+        try:
+            time, angle = map(float, line.split(","))
+        except ValueError:
+            time = angle = math.nan
+        if not (math.isfinite(time) and math.isfinite(angle)):
+            raise ValueError(f"line {number}, {line[:60]!r}, must be two numbers, time and angle")
+        if points and time <= points[-1][0]:
+            raise ValueError(f"line {number}: {time:g} s follows {points[-1][0]:g} s: must rise")
+        points.append((time, angle))
+    if len(points) < 2:
+        raise ValueError(f"{len(points)} points, two at least are needed")
+    return np.array(points).T
+
+
+def require_time(least: float, seconds: float, longest: float) -> None:
+    """Raise `RecipeError` for a recording that cannot be read, or a motion that does not end in
+    time. All s: what the filter needs at `least`, the recording, and the `longest` one."""
+    if not least <= seconds:
+        raise RecipeError(
+            f"{seconds:.4g} s are recorded, the filter needs {least:.4g} s at "
+            "measure_force.motion.bandwidth_hz: record for longer, or a longer motion"
+        )
+    if not seconds <= longest:
+        raise RecipeError(
+            f"a cycle of measure_force.motion, or its path, lasts {seconds:.4g} s, "
+            f"measure_force.motion.time_max is {longest:g} s: move faster"
+        )
 
 
 def require_learned(start: float | None, motion: Motion, reach: Reach, here: float) -> None:

@@ -17,12 +17,17 @@ from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.force_filter.motion_states import CREEP_SPEED_RATIO, Reach, State
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.stored import model_from
-from rigtool.experiments.force_sensor.procedure_motion import path_from_start, require_learned
+from rigtool.experiments.force_sensor.procedure_motion import (
+    path_from_start,
+    require_learned,
+    require_time,
+)
 from rigtool.experiments.force_sensor.procedure_reading import (
     NEEDED_CHANNELS,
     REFERENCE_CHANNEL,
-    SHORTEST_STRETCH,
     read_recording,
+    require_interval,
+    shortest_stretch,
 )
 from rigtool.experiments.force_sensor.results_over_time import Recorded, force_outcome
 from rigtool.experiments.force_sensor.unknown_friction import (
@@ -68,6 +73,7 @@ def _recordings(recipe: Recipe, *, seconds: float, observed: bool) -> tuple[Reco
             f"{seconds:g} s cannot be recorded: at most measure_force.motion.time_max = "
             f"{own.time_max:g} s, and more than 0"
         )
+    require_interval(own.record_every * recipe.rig.sample_time, "measure_force.motion")
     names = NEEDED_CHANNELS if observed else (*NEEDED_CHANNELS, *OF_THE_LOOP)
     if recipe.rig.source == "virtual":
         names = (*names, REFERENCE_CHANNEL)
@@ -88,8 +94,12 @@ def _measure(
     _, reach = model_and_reach(tables, kt, recipe)
     (spec,) = _recordings(recipe, seconds=seconds, observed=observed)
     task = Task(Observe(seconds), record_every=spec.record_every, touched=True)
-    if not observed:
+    least = shortest_stretch(recipe.measure_force.motion.corner_hz)
+    if observed:
+        require_time(least, seconds, seconds)
+    else:
         start, motion = path_from_start(recipe, seconds)
+        require_time(least, motion.duration, motion.duration)
         require_learned(start, motion, reach, rig.position)
         if start is not None and motion.start is None:
             rig.move_by(start - rig.position)
@@ -125,10 +135,11 @@ def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: R
             (n, b) for n in NEEDED_CHANNELS for r in recorded for b in r.blocks(n, finite=False)
         )
         unknown = dict.fromkeys(name for name, block in blocks if np.isnan(block).any())
+        corner_hz = recipe.measure_force.motion.corner_hz
         why = f" (NaN is in {', '.join(unknown)})" if unknown else ""
         raise InsufficientDataError(
-            f"{run.path}: no recording has {SHORTEST_STRETCH:g} s without a gap{why}: record for "
-            "longer, "
+            f"{run.path}: no recording has {shortest_stretch(corner_hz):.3g} s without a gap{why}, "
+            "which the filter needs at measure_force.motion.bandwidth_hz: record for longer, "
             "without gaps"
         )
     _require_values(read, recorded, reach)
@@ -236,7 +247,7 @@ def reach_of(tables: Run, kt: Run, recipe: Recipe) -> Reach:
     """
     learned = tables.recipe
     assert learned is not None  # `require_rig`
-    own, rig = learned.ilc_learn, recipe.rig
+    own, rig = learned.ilc_learn, learned.rig
     calibrated = None if kt.recipe is None else kt.recipe.calibrate_kt.temperatures_degc
     return Reach(
         (0.0, math.radians(learned.measure_force.angle) * rig.angle_ratio),

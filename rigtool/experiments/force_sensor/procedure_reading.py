@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_filter.estimate import (
     PIECE_STEPS,
     Filter,
@@ -51,6 +52,9 @@ REFERENCE_CHANNEL = "reference_torque"
 SHORTEST_STRETCH = 2.0
 """Stretch without gaps that is analysed, s: the filter has to settle."""
 
+LONGEST_INTERVAL = 0.01
+"""Time between samples, s: what is longer hides how friction changes in a reversal."""
+
 RATE_SAMPLES = 8192
 """Samples that the sampling frequency is taken from."""
 
@@ -60,6 +64,22 @@ BLOCK = 65536
 
 AS_ASKED = 1e-6
 """Relative difference within which the interval between samples is that of the recipe."""
+
+
+def shortest_stretch(corner_hz: float) -> float:
+    """Return the shortest stretch without gaps that is analysed, s: the filter settles, and its
+    low-pass does."""
+    return max(SHORTEST_STRETCH, 2.01 / corner_hz)
+
+
+def require_interval(seconds: float, source: str) -> None:
+    """Raise `InsufficientDataError` where samples of a `source` are too far apart."""
+    if seconds > LONGEST_INTERVAL * (1 + AS_ASKED):
+        raise InsufficientDataError(
+            f"{source}: a sample each {seconds * 1e3:.3g} ms does not show how friction changes in "
+            f"a reversal, {LONGEST_INTERVAL * 1e3:g} ms at most do: lower "
+            "measure_force.motion.record_every"
+        )
 
 
 def instrument_of(
@@ -100,6 +120,7 @@ def read_recording(
         return Recorded(recording.name, (), 0, 0.0)
     instrument = instrument_for(recording, recipe, kt, model, reach)
     interval = instrument.interval
+    require_interval(interval, recording.name)
     parts: list[TorqueRows] = []
     breaks, read, done = -1, 0.0, 0
     with ThreadPoolExecutor(2) as workers:
@@ -271,7 +292,7 @@ class Stretch:
         self._settle()
         give_back()
         step_time, every = self._instrument.grid.step_time, self._every
-        if self._steps * step_time < SHORTEST_STRETCH:
+        if (self._steps + 2) * step_time < shortest_stretch(self._instrument.corner_hz):
             return []
         self.seconds = self._steps * step_time
         contacts = self._contacts()

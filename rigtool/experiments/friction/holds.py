@@ -58,7 +58,7 @@ class Holds:
     `speed` in rad/s with its sign, `torque` in N m, `u` its standard uncertainty with `dof`;
     `revolutions` counts the whole turns averaged, 0 where there was less than one. `shaking` is
     the standard deviation of speed that the torque's fast part makes, relative to the speed:
-    above `SHAKING_LIMIT` the shaft starts and stops, and the torque belongs to no single speed.
+    above `SHAKING_LIMIT` the torque belongs to no single speed: the shaft starts and stops, say.
     `settled` is the time left out at the start, s.
     """
 

@@ -59,8 +59,9 @@ NOTED_SHARE = 0.1
 
 SATURATED_REMEDY = "lower stribeck.speed_max, or the load on the shaft"
 
-SPECTRUM_POINTS = 500
-"""Frequencies up to half the rate at which the loop's answer to the encoder is taken."""
+SPECTRUM_POINTS, EDGE_HARMONICS = 500, 50
+"""Frequencies up to half the rate at which the loop's answer to the encoder is taken, and harmonics
+of the rate of its edges."""
 
 HOLD_RECORDING = "holds"
 SWEEP_RECORDINGS = ("sweep", "sweep_coulomb", "sweep_viscous")
@@ -173,7 +174,7 @@ def _find_holds(recording: Recording, recipe: Recipe, scale: Scale) -> Holds:
     # Twice the variance: both directions are rounded to the same steps and err alike, so that the
     # mean of the two is no better than each.
     step = scale.value * setpoint_resolution(recording, recipe.stribeck.record_every)
-    expected = _encoder_shaking(recipe) / np.maximum(np.abs(found.speed), 1e-300)
+    expected = _encoder_shaking(recipe, found.speed)
     return replace(
         found,
         u=np.hypot(found.u, step / math.sqrt(6)),
@@ -181,18 +182,24 @@ def _find_holds(recording: Recording, recipe: Recipe, scale: Scale) -> Holds:
     )
 
 
-def _encoder_shaking(recipe: Recipe) -> float:
-    """Return the standard deviation of speed, rad/s, that the encoder's steps make in the loop.
+def _encoder_shaking(recipe: Recipe, speed: Array) -> Array:
+    """Return the standard deviation of speed that the encoder's steps make in the loop, relative.
 
-    For samples too far apart to show it. The steps are noise of variance step^2/12, evenly up to
-    half the rate (B. Widrow, I. Kollar, Quantization Noise, 2008), which the nominal loop follows.
+    At speeds (n,), rad/s. The nominal loop follows the steps. To a shaft that turns evenly they are
+    a sawtooth: its harmonics, step/(pi n), are speeds of twice the shaft's own each. Where edges
+    come faster than the loop, they are noise of variance step^2/12, evenly up to half the rate
+    (B. Widrow, I. Kollar, Quantization Noise, 2008). The larger of the two.
     """
     rig = recipe.rig
+    answer = position_loop(**rig.loop_design).complementary_sensitivity.response
     frequency = np.linspace(0, 0.5 / rig.sample_time, SPECTRUM_POINTS)[1:]
-    answer = position_loop(**rig.loop_design).complementary_sensitivity.response(frequency)
-    speed = np.abs(answer) * 2 * np.pi * frequency
-    step = 2 * np.pi / rig.encoder_counts
-    return step * math.sqrt(float(np.mean(speed**2)) / 12)
+    swing = np.abs(answer(frequency)) * 2 * np.pi * frequency
+    step, way = 2 * np.pi / rig.encoder_counts, np.maximum(np.abs(speed), 1e-300)
+    noise = step * math.sqrt(float(np.mean(swing**2)) / 12) / way
+    edges = np.outer(way / step, np.arange(1, EDGE_HARMONICS + 1))
+    seen = edges < frequency[-1]
+    followed = np.where(seen, np.abs(answer(np.where(seen, edges, 0.0))), 0.0)
+    return np.maximum(noise, np.sqrt(2 * np.sum(followed**2, axis=1)))
 
 
 def _fit_holds(
@@ -206,7 +213,8 @@ def _fit_holds(
         if recording.has("current"):
             setpoints.append(recording.read("current_setpoint"))
             currents.append(recording.read("current"))
-    fits, steady, notes = fit_holds(parts)
+    by_steps = _encoder_shaking(recipe, np.concatenate([part.speed for part in parts]))
+    fits, steady, notes = fit_holds(parts, by_steps)
     if setpoints:
         require_linear_at_low_current(
             current_setpoint=np.concatenate(setpoints),
@@ -216,20 +224,29 @@ def _fit_holds(
     return fits, steady, notes
 
 
-def fit_holds(parts: list[Holds]) -> tuple[dict[int, DirectionFit], Holds, list[str]]:
+def fit_holds(
+    parts: list[Holds], by_steps: Array | float = 0.0
+) -> tuple[dict[int, DirectionFit], Holds, list[str]]:
     """Return the fit by direction of holds from several recordings, those that are used, and notes.
 
-    Left out are holds in which the shaft starts and stops. Raises `InsufficientDataError` where a
-    direction cannot be fitted.
+    Left out are holds in which the shaft shakes; a note states why. `by_steps` (n,) is the part of
+    the shaking that the encoder's steps make in all holds, where it is known. Raises
+    `InsufficientDataError` where a direction cannot be fitted.
     """
-    everything, notes = pool(parts), []
-    steady = everything[everything.shaking <= SHAKING_LIMIT]
-    if len(steady.speed) < len(everything.speed):
-        shaken = np.abs(everything.speed[everything.shaking > SHAKING_LIMIT])
-        listed = ", ".join(f"{speed:.3g}" for speed in np.unique(np.round(shaken, 3)))
-        notes.append(
-            f"holds left out, because the shaft starts and stops instead of turning: {listed} rad/s"
-        )
+    everything = pool(parts)
+    shaken, speed = everything.shaking > SHAKING_LIMIT, np.abs(everything.speed)
+    stepped = shaken & (2 * np.square(by_steps) > everything.shaking**2)  # most of the variance
+    reasons = (
+        (shaken & ~stepped, "the shaft starts and stops, or vibrates"),
+        (stepped, "the encoder's steps shake it; take more counts, or a softer controller"),
+    )
+    notes = [
+        f"holds left out at {', '.join(f'{v:.3g}' for v in np.unique(speed[chosen].round(3)))} "
+        f"rad/s, where the speed varies by more than {SHAKING_LIMIT:.0%}: {reason}"
+        for chosen, reason in reasons
+        if chosen.any()
+    ]
+    steady = everything[~shaken]
     return fit_directions(steady.speed, steady.torque, steady.u), steady, notes
 
 

@@ -23,7 +23,13 @@ from rigtool.experiments.imported_load.basis import (
     find_scales,
 )
 from rigtool.experiments.imported_load.loop import learn_loop
-from rigtool.experiments.imported_load.model import SIDE_SIGNS, LoadModel, Side
+from rigtool.experiments.imported_load.model import (
+    APART_STROKE,
+    SIDE_SIGNS,
+    LoadModel,
+    Side,
+    stroke_of,
+)
 from rigtool.experiments.imported_load.region import (
     MARGIN,
     NARROW,
@@ -141,6 +147,7 @@ def learn_load_model(
     if prior is not None:
         scales = _scales_as(prior, scales)
     level, pace = np.array(levels_of(signals)), _paces(signals)
+    middles, stroke = _strokes(signals)
     folds, levels = _folds(level)
     rows = [Rows.of(signals, scales, sign) for sign in SIDE_SIGNS]
     effort_scale = float(np.std(np.concatenate([one.effort for one in rows]))) or 1.0
@@ -149,7 +156,7 @@ def learn_load_model(
     rows = [replace(one, effort=one.effort / effort_scale) for one in rows]
     priors = (None, None) if prior is None else prior.sides
     found = [
-        _fit(own, folds, levels, pace, before).model()
+        _fit(own, folds, levels, pace, before).model(_inner(stroke[own.recording]))
         for own, before in zip(rows, priors, strict=True)
     ]
     sides, held = [side for side, _ in found], [out for _, out in found]
@@ -160,6 +167,7 @@ def learn_load_model(
     measured = np.where(resolved, torque + error, np.nan)
     model = LoadModel(
         scales=scales,
+        strokes=middles,
         bandwidth_hz=paths[0].bandwidth_hz,
         effort_scale=effort_scale,
         sides=(sides[0], sides[1]),
@@ -211,7 +219,7 @@ def _fit(rows: Rows, folds: Numbers, levels: int, pace: Numbers, prior: Side | N
         turns = _turns(folds)
         ways = [level, turns[rows.recording]] if turns.any() else [level]
     if pace.max() > 1:  # speeds beyond the others are outside: those at the ends stay
-        ways.append(np.where((paces == 0) | (paces == pace.max()), -1, paces))
+        ways.append(_inner(paces))
     names = groups_for(tuple(rows.functions), levels) if prior is None else prior.groups
     return Fit.of(rows, names, level, ways, prior)
 
@@ -282,6 +290,24 @@ def _paces(signals: Sequence[LoadSignals]) -> Numbers:
     speeds = [item.path.speed[item.path.regular] for item in signals]
     sizes = [float(np.sqrt(np.mean(own**2))) if own.size else 0.0 for own in speeds]
     return np.array(level_numbers(sizes, APART_SPEED))
+
+
+def _strokes(signals: Sequence[LoadSignals]) -> tuple[Array, Numbers]:
+    """Return the middles of strokes (s,) at different places, rad, the lowest first, and the number
+    of each recording's stroke."""
+    found = np.array([stroke_of(item.path) for item in signals])
+    order = np.argsort(found[:, 0], kind="stable")
+    middle, length = found[order].T
+    number = np.cumsum(np.diff(middle, prepend=middle[0]) > APART_STROKE * length.max())
+    middles = np.bincount(number, middle) / np.bincount(number)
+    return middles, number[np.argsort(order)]
+
+
+def _inner(numbers: Numbers) -> Numbers:
+    """Return numbers (n,) of conditions in order, -1 for the first and the last of them: what is
+    beyond the others is outside what was learned."""
+    inner: Numbers = np.where((numbers == 0) | (numbers == numbers.max()), -1, numbers)
+    return inner
 
 
 def _folds(numbers: Numbers) -> tuple[Numbers, int]:

@@ -33,6 +33,9 @@ FLAT_SLOPE = 0.25
 """Where the slope of effort by torque is below this part of the usual one in its direction, such as
 after a reversal, friction hides the load as it does at standstill."""
 
+APART_STROKE = 0.1
+"""Part of a stroke by which the middles of strokes at different places differ, at least."""
+
 HIGHEST_POWER = max(LOAD_POWER.values())
 
 SLOWEST_SCATTER = 1e-3
@@ -80,7 +83,8 @@ class Side:
     `weights` (k,) and their `covariance` (k, k) are without unit; `scatter` (3,) is the logarithm
     of the scatter's variance: constant, by the logarithm of speed, by torque; `factors` (l,)
     multiply uncertainties at torques `levels` (l,), which rise; between two they go in a line.
-    `slope` is the usual one of effort by torque.
+    `slope` is the usual one of effort by torque; `elsewhere` multiplies u of strokes at a place of
+    which none was learned.
     """
 
     groups: tuple[str, ...]
@@ -90,6 +94,7 @@ class Side:
     levels: Array
     factors: Array
     slope: float
+    elsewhere: float = 1.0
 
     def factor(self, torque: Array) -> Array:
         """Return the factor on uncertainties at torques (n,)."""
@@ -114,7 +119,7 @@ class Side:
 
 @dataclass(frozen=True, eq=False)
 class LoadModel:
-    """A model of both directions, positive speed first.
+    """A model of both directions, positive speed first, from strokes with middles `strokes` (s,).
 
     Effort is in units of `effort_scale`; `torque_range` are the lowest and highest torque that are
     looked at, without unit; `direction` is the sign of the speed against which the load acts;
@@ -122,6 +127,7 @@ class LoadModel:
     """
 
     scales: Scales
+    strokes: Array
     bandwidth_hz: float
     effort_scale: float
     sides: tuple[Side, Side]
@@ -135,16 +141,23 @@ class LoadModel:
         found: Array = (path.position - self.scales.low) / (self.scales.high - self.scales.low)
         return found
 
+    def elsewhere(self, path: ShaftPath) -> bool:
+        """Return whether strokes are at a place of which none was learned."""
+        middle, length = stroke_of(path)
+        return bool(np.abs(middle - self.strokes).min() > APART_STROKE * length)
+
     def estimate(self, effort: Array, path: ShaftPath) -> TorqueEstimate:
         """Return the torque at the rows (n,) of a path whose effort is given."""
         speed, unit = path.speed / self.scales.speed, self.scales.torque
         torque, u, share = (np.full(len(speed), np.nan) for _ in range(3))
+        elsewhere = self.elsewhere(path)
         for sign, side in zip(SIDE_SIGNS, self.sides, strict=True):
             mask = speed < 0 if sign < 0 else speed >= 0
             design = side.design(motion_functions(path, self.scales, sign))
             found, known = design.solve(side.weights, effort / self.effort_scale, self.torque_range)
             spread, slope = side.spread(design, speed, found)
             torque[mask] = np.where(known, found, np.nan)[mask]
+            spread *= side.elsewhere if elsewhere else 1.0
             u[mask], share[mask] = spread[mask], slope[mask] / side.slope
         still = np.abs(path.speed) < self.scales.standstill
         hidden = still | (share < FLAT_SLOPE)
@@ -233,6 +246,15 @@ class DesignMatrix:
         """Return the slope (n,) of effort by torque at a torque."""
         parts = self.polynomial(weights)
         return polynomial_at(parts[1:] * np.arange(1, len(parts))[:, None], torque)
+
+
+def stroke_of(path: ShaftPath) -> tuple[float, float]:
+    """Return middle and length of what a path covers, rad, transients left out."""
+    position = path.position[path.regular]
+    if not position.size:
+        return 0.0, 0.0
+    low, high = float(position.min()), float(position.max())
+    return (low + high) / 2, high - low
 
 
 def polynomial_at(parts: Array, torque: Array) -> Array:

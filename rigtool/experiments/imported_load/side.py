@@ -12,7 +12,8 @@ all that leaving out levels, speeds or recordings needs are sums over those.
 The uncertainty has three parts: of the coefficients, from how whole recordings disagree, so that
 residuals may be correlated in time as they like; scatter, that changes with speed and load; and a
 factor for each load level, that makes 95 % intervals hold 95 % of its rows when the level, or one
-of the speeds between others, was left out.
+of the speeds between others, was left out. Where strokes were learned at different places, one more
+factor does so for strokes at places between them, of which no recording was learned.
 """
 
 from __future__ import annotations
@@ -188,8 +189,9 @@ class Fit:
             slope[rows] = slopes[-1][rows]
         return residual, variance, slope, np.array(slopes)
 
-    def model(self) -> tuple[Side, HeldOut]:
-        """Return the model, and how it did at folds that were left out."""
+    def model(self, strokes: Numbers) -> tuple[Side, HeldOut]:
+        """Return the model, and how it did at folds that were left out; `strokes` (n,) is the way
+        of leaving out strokes at other places."""
         coefficients = self.sums.solve(self.sums.all)
         covariance = self.sums.covariance(self.sums.all, coefficients)
         found = [self.left_out(fold) for fold in self.folds]
@@ -208,6 +210,11 @@ class Fit:
             factors=factors,
             slope=usual,
         )
+        if (strokes >= 0).any():
+            apart, doubt, *_ = self.left_out(strokes)
+            ratio = np.abs(apart) / np.sqrt(doubt + own) / side.factor(self.rows.torque)
+            widest = float(np.nanquantile(ratio, INTERVAL_COVERAGE)) / COVERAGE_FACTOR
+            side = replace(side, elsewhere=max(1.0, widest))
         resolved = np.abs(slope) >= FLAT_SLOPE * usual
         safe = np.where(resolved, slope, usual)
         held = HeldOut(

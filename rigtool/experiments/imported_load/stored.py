@@ -125,6 +125,11 @@ def model_tables(model: LoadModel, effort_unit: str) -> dict[str, Table]:
                     "logarithm of the variance of effort",
                 ),
                 "slope": ([side.slope for side in sides], "1", "usual one of effort"),
+                "elsewhere": (
+                    [side.elsewhere for side in sides],
+                    "1",
+                    "factor on uncertainty, for strokes at other places",
+                ),
             },
             "scatter",
             "scatter beside the model",
@@ -153,6 +158,15 @@ def model_tables(model: LoadModel, effort_unit: str) -> dict[str, Table]:
             },
             "highest",
             "speeds and torques at which the model was learned, margins included",
+        ),
+        "_strokes": _table(
+            "stroke",
+            {
+                "stroke": (np.arange(len(model.strokes)), "1"),
+                "middle": (model.strokes, "rad", "of the motor"),
+            },
+            "middle",
+            "places of the strokes that were learned",
         ),
         "_loop": _table(
             "cell",
@@ -214,10 +228,12 @@ def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
                 levels=factors["torque"][own],
                 factors=factors["factor"][own],
                 slope=float(scatter["slope"][number]),
+                elsewhere=float(scatter["elsewhere"][number]),
             )
         )
     model = LoadModel(
         scales=Scales(**{field.name: float(scales[field.name][0]) for field in fields(Scales)}),
+        strokes=tables[MODEL_TABLE + "_strokes"]["middle"],
         bandwidth_hz=float(scales["bandwidth"][0]),
         effort_scale=float(scales["effort"][0]),
         sides=(sides[0], sides[1]),

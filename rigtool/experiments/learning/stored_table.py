@@ -223,7 +223,7 @@ def require_same_rig(tables: Run, recipe: Recipe) -> None:
 def require_rig(tables: Run, recipe: Recipe) -> None:
     """Raise `RunFileError` unless the tables were learned on the recipe's rig, as it is now.
 
-    Compared are the rig's name, attachment, encoder and ratio.
+    Compared are the rig's name, attachment, encoder, ratio and torque factor.
     """
     tables.require_command("ilc-learn")
     learned = tables.recipe
@@ -236,6 +236,7 @@ def require_rig(tables: Run, recipe: Recipe) -> None:
         ("attachment", learned.rig.attachment, recipe.rig.attachment),
         ("encoder", learned.rig.encoder_counts, recipe.rig.encoder_counts),
         ("motor angle per output angle", learned.rig.angle_ratio, recipe.rig.angle_ratio),
+        ("torque factor", learned.rig.torque_factor, recipe.rig.torque_factor),
     ):
         if there != here:
             raise RunFileError(

@@ -55,6 +55,11 @@ class SlidingRecord(Record):
         """None (n,), rad/s2."""
         return np.zeros(self.angle.size)
 
+    @property
+    def current_rate(self) -> Array:
+        """As good as none (n,), A/s."""
+        return np.zeros(self.angle.size)
+
 
 @dataclass(frozen=True, eq=False)
 class DisturbanceGrid:

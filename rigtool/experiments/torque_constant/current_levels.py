@@ -29,33 +29,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.torque_constant.measured_levels import find_levels, settled_parts
 from rigtool.experiments.torque_constant.staircase_fit import SAME_TEMPERATURE
+from rigtool.experiments.torque_constant.swings import friction_state
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, require_signals
-from rigtool.numerics.plateaus import find_plateaus
 from rigtool.numerics.residual_covariance import independent_samples
 from rigtool.quantity import REFERENCE_DEGC
-
-MAX_BLOCKS = 2000
-"""Most parts of a recording in which plateaus are looked for."""
-
-FLAT_RANGE = 5.0
-"""Standard deviations of noise within which the current does not change."""
-
-MAX_PLATEAU_CHANGE = 0.02
-"""Largest change of current on a plateau, relative to the span."""
-
-FEWEST_PLATEAUS = 5
-"""Fewer plateaus are no staircase."""
-
-ON_PLATEAUS = 0.3
-"""Smallest part of the time on plateaus of a staircase."""
-
-MAX_ALONG = 0.1
-"""Largest change along a plateau, in terms of the step to the next one."""
-
-SETTLING_PART = 0.25
-"""Part of each plateau that is left out at its start."""
 
 RAMP_PARTS = 120
 """Parts of a ramp."""
@@ -65,8 +45,11 @@ MAGNET_COEFFICIENT = (-1.0e-3, 0.6e-3)
 to -0.2 %/K for ferrite (J. R. Hendershot & T. J. E. Miller, Design of Brushless Permanent-Magnet
 Machines, 2010, ch. 3), a rectangular distribution (GUM 4.3.7)."""
 
-TRANSITION_LENGTHS = (0.01, 0.03, 0.1, 0.3)
-"""Lengths s of Dahl's transition that are tried, relative to the span of the current."""
+SHORTEST_TRANSITION, LONGEST_TRANSITION, TRANSITIONS = 0.005, 1.0, 24
+"""Lengths s of the transition that are tried, relative to the span of the current."""
+
+FINER_GRIDS, FINER_LENGTHS = 3, 9
+"""Grids of lengths, each around the best of the one before: precise data need them."""
 
 FRICTION, DRIFT, BENT, RIPPLE, CURVATURE = 0.05, 0.01, 0.004, 0.002, 0.015
 """Prior sizes: of h, of a straight and a bent drift, and of each wave of ripple, relative to the
@@ -109,15 +92,32 @@ class Course:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Means of (n,) plateaus or parts of a ramp; `path` (n, s) is m of (1) for each transition."""
+    """Means of (n,) plateaus or parts of a ramp.
+
+    `swings` (m,) in A are the steps of the current that friction follows, from the first on, of
+    which each point ends before `ends` (n,).
+    """
 
     current: Array
     torque: Array
     temperature: Array | None
     speed: Array | None
-    path: Array
-    ways: tuple[float, float]
+    swings: Array
+    ends: NDArray[np.int64]
     plateaus: bool
+
+    @property
+    def ways(self) -> tuple[float, float]:
+        """Way of the current up and down, A."""
+        up = float(self.swings[self.swings > 0].sum())
+        return up, up - float(self.swings.sum())
+
+    def states(self, lengths: Array) -> tuple[Array, Array]:
+        """Return m of (1) with 0 at the start, and what it is per state there, (s, n) each."""
+        count = np.diff(self.ends, prepend=0)
+        found = friction_state(self.swings[None], lengths, 1.0)
+        first, kept = (np.add.reduceat(each, self.ends - count, axis=1) / count for each in found)
+        return first, kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,57 +154,30 @@ def find_points(course: Course) -> Points:
         for name, values in (("temperature", course.temperature), ("speed", course.speed))
         if values is not None
     }
-    t, current, _, *_ = require_signals(50, **signals)
+    t, current, torque, *_ = require_signals(50, **signals)
     require_rising(t)
-    blocks = min(MAX_BLOCKS, len(t) // 4)
-    edges = np.linspace(0, len(t), blocks + 1).round().astype(np.int64)
-    level = _means(current, edges)
-    noise = float(np.sqrt(np.mean(np.diff(current, 2) ** 2) / 6 / (len(t) / blocks)))
-    span = float(np.ptp(level))
-    if span <= 10 * noise:
-        raise InsufficientDataError(
-            f"the current changes by {span:.3g} A, its noise is {noise:.2g} A: step it, or ramp it"
-        )
-    band = max(FLAT_RANGE * math.sqrt(2) * noise, 1e-3 * span)
-    followed = _one_way(level, band)
-    path = np.stack([_dahl(followed, part * span) for part in TRANSITION_LENGTHS], axis=1)
-    way = np.diff(followed)
-    up, down = float(way[way > 0].sum()), float(-way[way < 0].sum())
-    parts = find_plateaus(level, max(band, 1e-4 * span), max(MAX_PLATEAU_CHANGE * span, 2 * band))
-    on_them = sum(b - a for a, b in parts)
-    stairs = len(parts) >= FEWEST_PLATEAUS and on_them >= ON_PLATEAUS * blocks
-    if not stairs or not _steps(level, parts):
-        ends = np.linspace(0, blocks, min(RAMP_PARTS, blocks) + 1).round().astype(np.int64)
-        parts = list(pairwise(ends.tolist()))
-        settled = False
+    found = find_levels(current, torque)
+    if found.plateaus:
+        parts = list(settled_parts(found.plateaus))
+        followed, place = _one_way(_means(current, parts), found.band), np.arange(len(parts) + 1)
     else:
-        settled = True
-        parts = [(a + math.ceil(SETTLING_PART * (b - a)), b) for a, b in parts]
-
-    def mean(values: Array) -> Array:
-        return np.array([values[edges[a] : edges[b]].mean() for a, b in parts])
-
+        followed = _one_way(found.level, found.band)
+        count = len(followed)
+        place = np.linspace(0, count, min(RAMP_PARTS, count) + 1).round().astype(np.int64)
+        parts = list(pairwise(found.edges[place].tolist()))
     return Points(
-        mean(current),
-        mean(course.torque),
-        None if course.temperature is None else mean(course.temperature),
-        None if course.speed is None else mean(course.speed),
-        np.stack([path[a:b].mean(axis=0) for a, b in parts]),
-        (up, down),
-        settled,
+        _means(current, parts),
+        _means(torque, parts),
+        None if course.temperature is None else _means(course.temperature, parts),
+        None if course.speed is None else _means(course.speed, parts),
+        np.diff(followed, prepend=followed[0]),
+        place[1:],
+        bool(found.plateaus),
     )
 
 
-def _steps(level: Array, parts: Sequence[tuple[int, int]]) -> bool:
-    """Return whether a level (n,) changes between its parts, and not along them as on a ramp."""
-    along = np.median([abs(level[b - 1] - level[a]) for a, b in parts])
-    between = np.median(np.abs(np.diff([level[a:b].mean() for a, b in parts])))
-    return bool(along <= MAX_ALONG * between)
-
-
-def _means(values: Array, edges: NDArray[np.int64]) -> Array:
-    means: Array = np.add.reduceat(values, edges[:-1]) / np.diff(edges)
-    return means
+def _means(values: Array, parts: Sequence[tuple[int, int]]) -> Array:
+    return np.array([values[a:b].mean() for a, b in parts])
 
 
 def _one_way(values: Array, band: float) -> Array:
@@ -230,15 +203,6 @@ def _one_way(values: Array, band: float) -> Array:
         along = np.maximum if rises else np.minimum
         followed[start : stop + 1] = along.accumulate(values[start : stop + 1])
     return followed
-
-
-def _dahl(values: Array, length: float) -> Array:
-    """Return m of (1) along values (n,), 0 at their start."""
-    state = np.zeros(len(values))
-    for index, step in enumerate(np.diff(values).tolist()):
-        way = math.copysign(1.0, step)
-        state[index + 1] = way + (state[index] - way) * math.exp(-abs(step) / length)
-    return state
 
 
 # -- fit
@@ -302,14 +266,54 @@ def fit_constant(runs: Sequence[Points]) -> CurrentFit:
             for wave in (np.cos, np.sin):
                 add("ripple", wave(np.pi * half_waves * part), RIPPLE * torques)
     if turning:
-        fits = [_Fit(columns, torque)]
+        fits, volume = [_Fit(columns, torque)], np.ones(1)
     else:
-        states = np.concatenate([run.path for run in runs]).T
-        fits = [
-            _Fit([*columns, _Column("friction", state, 0.0, FRICTION * torques)], torque)
-            for state in states
+        fits, volume = _fits_with_friction(columns, torque, runs)
+    weight = _probability(fits, volume)
+    return _result(fits, weight, runs, middle, one_way=one_way and not turning, turning=turning)
+
+
+def _fits_with_friction(
+    columns: Sequence[_Column], torque: Array, runs: Sequence[Points]
+) -> tuple[list[_Fit], Array]:
+    """Return a fit for each length of the transition, and the range of its logarithm."""
+    size, span = FRICTION * float(np.ptp(torque)), float(np.ptp(columns[0].values))
+    place = np.repeat(np.arange(len(runs)), [len(run.current) for run in runs])
+
+    def fitted(lengths: Array) -> list[_Fit]:
+        each = [run.states(lengths * span) for run in runs]
+        first, kept = (np.concatenate(part, axis=1) for part in zip(*each, strict=True))
+        return [
+            _Fit(
+                [
+                    *columns,
+                    _Column("friction", state, 0.0, size),
+                    *(_Column("start", left * (place == k), 0.0, size) for k in range(len(runs))),
+                ],
+                torque,
+            )
+            for state, left in zip(first, kept, strict=True)
         ]
-    return _result(fits, runs, middle, one_way=one_way and not turning, turning=turning)
+
+    lengths = np.geomspace(SHORTEST_TRANSITION, LONGEST_TRANSITION, TRANSITIONS)
+    fits = fitted(lengths)
+    for _ in range(FINER_GRIDS):
+        best = int(np.argmin([fit.misfit for fit in fits]))
+        ends = lengths[max(best - 1, 0)], lengths[min(best + 1, len(lengths) - 1)]
+        new = np.setdiff1d(np.geomspace(*ends, FINER_LENGTHS), lengths)
+        order = np.argsort(np.concatenate([lengths, new]))
+        both = [*fits, *fitted(new)]
+        fits, lengths = [both[k] for k in order], np.concatenate([lengths, new])[order]
+    return fits, np.gradient(np.log(lengths))
+
+
+def _probability(fits: Sequence[_Fit], volume: Array) -> Array:
+    """Return the probability of each fit, p = Q^(-n/2) over n independent residuals."""
+    misfit = np.array([fit.misfit for fit in fits])
+    best = fits[int(np.argmin(misfit))]
+    weight = volume * (misfit / misfit.min()) ** (-best.independent / 2)
+    probability: Array = weight / weight.sum()
+    return probability
 
 
 @dataclass(frozen=True, eq=False)
@@ -350,7 +354,8 @@ class _Fit:
             power = float(np.mean(self.residual**2)) * self.independent
             variance = max((power + penalty * variance) / free, 1e-12 * float(np.var(torque)))
         self.free, self.variance = free, variance
-        self.power = power + penalty * variance
+        # A wrong model has fewer independent residuals, as they are correlated in time.
+        self.misfit = (power + penalty * variance) / self.independent
 
     def estimate(self, parts: Mapping[str, float]) -> tuple[float, float]:
         """Return a sum of parameters with these factors, and its standard uncertainty."""
@@ -361,13 +366,15 @@ class _Fit:
 
 
 def _result(
-    fits: Sequence[_Fit], runs: Sequence[Points], middle: float, *, one_way: bool, turning: bool
+    fits: Sequence[_Fit],
+    weight: Array,
+    runs: Sequence[Points],
+    middle: float,
+    *,
+    one_way: bool,
+    turning: bool,
 ) -> CurrentFit:
-    power = np.array([fit.power for fit in fits])
-    if not all(run.plateaus for run in runs):
-        # A wrong model has fewer independent samples, as its residuals are correlated in time.
-        power /= [fit.independent for fit in fits]
-    best = fits[int(np.argmin(power))]
+    best = fits[int(np.argmin([fit.misfit for fit in fits]))]
     torque, current = best.torque, best.design[:, 0]
     rms, span = math.sqrt(float(np.mean(best.residual**2))), float(np.ptp(torque))
     if rms > MAX_MISFIT * span:
@@ -376,8 +383,6 @@ def _result(
             "span "
             f"of {span:.3g} N m is the limit: see to the units and to what else loads the shaft"
         )
-    weight = (power / power.min()) ** (-best.independent / 2)
-    weight /= weight.sum()
 
     def mean(**parts: float) -> tuple[float, float]:
         """Return a sum of parameters and its u over the lengths of the transition."""

@@ -68,14 +68,14 @@ FEWEST_RESIDUALS = 4.0
 class Hypotheses:
     """The most probable hypothesis, and what all of them do to the torque constants.
 
-    `stairs` have courses without noise. `shift` in N m/A is the mean of all hypotheses minus the
-    best, `spread` their standard deviation, `drift` in N m/(A K) that of the constants' change with
-    temperature.
+    `stairs` have courses without noise. `constant` in N m/A is the mean of all hypotheses on the
+    mean staircases, `spread` their standard deviation, `drift` in N m/(A K) that of the constants'
+    change with temperature.
     """
 
     stairs: Stairs
     best: Common
-    shift: float
+    constant: float
     spread: float
     drift: float
 
@@ -103,10 +103,8 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
     probable /= probable.sum()
     mean = probable @ tried.slope
     spread = np.sqrt(probable @ (tried.slope - mean) ** 2)
-    shift = float(mean[0] - tried.slope[number, 0])
-    return Hypotheses(
-        means.stairs, tried.commons[number], shift, float(spread[0]), float(spread[1])
-    )
+    best, constant = tried.commons[number], float(mean[0])
+    return Hypotheses(means.stairs, best, constant, float(spread[0]), float(spread[1]))
 
 
 @dataclass(frozen=True)
@@ -200,7 +198,6 @@ class _Means:
             np.sum(trend[those, None] * stairs.torque[those], axis=0) for those in self._members
         ]
         self._torque = np.stack([torque, np.stack(combined)], axis=2)  # (g, p, 2)
-        self._taken = np.zeros(torque.shape)
         self._span = float(np.ptp(torque))
         self.dof = int(self._weight.sum()) - PARAMETERS * len(self._members)
 
@@ -303,25 +300,39 @@ class _Means:
         return square, np.linalg.solve(r, projected), fewer
 
     def smooth(self, common: Common) -> None:
-        """Subtract the residual of a hypothesis on the mean torques from the courses, as noise."""
-        residual = self.residual(common).reshape(self._weight.shape)
-        rest = residual - self._taken
-        self._taken = residual
-        self.stairs = replace(self.stairs, courses=self.stairs.courses.less(rest))
+        """Take off the courses what a hypothesis leaves of the mean torques, as noise; and off
+        their rates what its columns leave of these: noise, rounding, and what ripple bends.
 
-    def residual(self, common: Common) -> Array:
-        """Return the residual of (1) with the ripple's i |i| on the mean staircases, (g p,) N m."""
+        The bend is no column of a single staircase. In the path of friction it would be one, and
+        count as friction that helps the motor.
+        """
+        noise = self.residual(common).reshape(self._weight.shape)
+        rest = _left(self._columns(common), self.stairs.courses.torque_rate)
+        self.stairs = replace(self.stairs, courses=self.stairs.courses.less(noise, rest))
+
+    def _columns(self, common: Common) -> list[Array]:
+        """Return the columns of (1) on the mean staircases, current first, (g, p) each."""
         current, lost = self._thermal(common.time_constant)
-        columns = [current, self._weight, self._step, lost, current * np.abs(current)]
+        columns = [current, self._weight, self._step, lost]
         if common.transition is not None:
             (way,) = self._ways([common.lag])
             columns += self._friction(way, common.transition, common.exponent)
-        q, _ = np.linalg.qr(np.stack(columns, axis=2))
-        torque = self._torque[..., 0]
-        rest: Array = torque - np.einsum("gpc,gc->gp", q, np.einsum("gpc,gp->gc", q, torque))
-        return rest.ravel()
+        return columns
+
+    def residual(self, common: Common) -> Array:
+        """Return the residual of (1) with the ripple's i |i| on the mean staircases, (g p,) N m."""
+        columns = self._columns(common)
+        curved = columns[0] * np.abs(columns[0])
+        return _left([*columns, curved], self._torque[..., 0]).ravel()
 
     def independent(self, common: Common) -> float:
         """Return how many independent residuals a hypothesis leaves, less its parameters."""
         residual, used = self.residual(common), self._weight.ravel() > 0
         return independent_samples(residual, used, 1) - PARAMETERS * len(self._members)
+
+
+def _left(columns: list[Array], torque: Array) -> Array:
+    """Return what least squares leave of torques (g, p) by columns (g, p) of each kind."""
+    q, _ = np.linalg.qr(np.stack(columns, axis=2))
+    rest: Array = torque - np.einsum("gpc,gc->gp", q, np.einsum("gpc,gp->gc", q, torque))
+    return rest

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -11,24 +10,21 @@ from rigtool.errors import RecipeError
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_constant.imported import analyse_imported
-from rigtool.experiments.torque_constant.staircase import Plateaus, plateaus_of_set_point
-from rigtool.experiments.torque_constant.staircase_fit import SAME_TEMPERATURE
-from rigtool.experiments.torque_constant.temperature_fit import (
-    Calibration,
-    calibrate,
+from rigtool.experiments.torque_constant.results import outcome_of
+from rigtool.experiments.torque_constant.staircase import (
+    Plateaus,
+    plateaus_of_set_point,
+    pool,
 )
+from rigtool.experiments.torque_constant.temperature_fit import calibrate
 from rigtool.numerics.arrays import Array
-from rigtool.quantity import CURRENT_READING, Component, Quantity, combined, error_line
 from rigtool.recipe import Recipe
 from rigtool.recipe.commands import CalibrateKt
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import CurrentSteps
-from rigtool.runfile import Column, RecordingSpec, Run, RunWriter, Table, dof_column
+from rigtool.runfile import RecordingSpec, Run, RunWriter
 
 STAIRCASE = "staircase"
-
-FAR_OFF = 3.0
-"""Ratio of measured constant and data sheet that no motor explains: magnets differ by a tenth."""
 
 
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
@@ -86,7 +82,7 @@ def staircase(settings: CalibrateKt) -> tuple[float, ...]:
 
 def analyse(runs: Sequence[Run], recipe: Recipe) -> Outcome:
     """Return the torque constant against temperature from the staircases of all runs."""
-    plateaus = _pool([_plateaus(run, recipe) for run in runs])
+    plateaus = pool([_plateaus(run, recipe) for run in runs])
     arm, settings = recipe.rig.arm, recipe.calibrate_kt
     found = calibrate(
         plateaus,
@@ -98,7 +94,12 @@ def analyse(runs: Sequence[Run], recipe: Recipe) -> Outcome:
         current_reading_relative_u=recipe.rig.current_reading_relative_u,
         reference_range_degc=settings.reference_range_degc,
     )
-    return Outcome(_results(found, recipe), _tables(found), _notes(found, recipe))
+    return outcome_of(
+        found,
+        nominal=recipe.rig.torque_constant,
+        current_reading_relative_u=recipe.rig.current_reading_relative_u,
+        reference_range_degc=settings.reference_range_degc,
+    )
 
 
 def _plateaus(run: Run, recipe: Recipe) -> Plateaus:
@@ -114,131 +115,6 @@ def _plateaus(run: Run, recipe: Recipe) -> Plateaus:
         settle_time=recipe.calibrate_kt.settle_time,
         gauge_resolution=recipe.rig.arm.gauge_resolution,
     )
-
-
-def _pool(parts: Sequence[Plateaus]) -> Plateaus:
-    """Return the plateaus of several runs as one series in time."""
-    placed = [parts[0]]
-    for part in parts[1:]:
-        before = placed[-1]
-        later = before.end[-1] - part.begin[0] + 3600.0
-        moved = {
-            "begin": part.begin + later,
-            "end": part.end + later,
-            "staircase": part.staircase + before.staircase[-1] + 1,
-        }
-        placed.append(replace(part, **moved))
-    names = vars(parts[0])
-    return Plateaus(**{name: np.concatenate([vars(p)[name] for p in placed]) for name in names})
-
-
-def _results(found: Calibration, recipe: Recipe) -> dict[str, Quantity]:
-    linearity, slopes = found.linearity, found.slopes
-    gain = Component(
-        CURRENT_READING, 1.0, "1", recipe.rig.current_reading_relative_u, None, linearity.gain
-    )
-    scatter = error_line("lack of fit and scatter", linearity.gain_u, "1", linearity.dof)
-    if slopes.hysteresis_dof > 0:
-        hysteresis = Quantity(slopes.hysteresis, "N m", slopes.hysteresis_u, slopes.hysteresis_dof)
-    else:
-        reason = "one staircase: no scatter"
-        hysteresis = Quantity(slopes.hysteresis, "N m", reason=reason)
-    results = {
-        "torque_constant": found.torque_constant,
-        "torque_constant_temperature_coefficient": found.coefficient,
-        "torque_constant_mean": found.mean,
-        "torque_constant_constant_error": found.constant_error,
-        "torque_constant_ripple": found.ripple,
-        "amplifier_gain": combined(linearity.gain, "1", [scatter, gain]),
-        "amplifier_offset": Quantity(linearity.offset, "A", linearity.offset_u, linearity.dof),
-        "amplifier_linearity": Quantity(
-            linearity.deviation, "A", linearity.deviation_u, linearity.deviation_dof
-        ),
-        "hysteresis_torque": hysteresis,
-        "winding_heat_loss": Quantity(
-            slopes.steady_heating, "1/A2", slopes.steady_heating_u, slopes.heating_dof
-        ),
-    }
-    return {name: quantity for name, quantity in results.items() if quantity is not None}
-
-
-def _tables(found: Calibration) -> dict[str, Table]:
-    linearity, slopes = found.linearity, found.slopes
-    return {
-        "torque_constant": Table(
-            ("temperature",),
-            {
-                "temperature": Column(found.temperature, "degC", "of the winding"),
-                "torque_constant": Column(found.value, "N m/A", "without the amplifier's ripple"),
-                "u": Column(found.u, "N m/A", "standard uncertainty"),
-                "dof": dof_column(found.dof),
-            },
-            signal="torque_constant",
-            description="Torque constant against temperature",
-        ),
-        "linearity": Table(
-            ("current_setpoint",),
-            {
-                "current_setpoint": Column(linearity.current_setpoint, "A"),
-                "current": Column(linearity.current, "A", "measured, mean of all plateaus"),
-                "deviation": Column(linearity.deviations, "A", "from the straight line"),
-            },
-            signal="deviation",
-            description="DC linearity of the amplifier",
-        ),
-        "hysteresis": Table(
-            ("current",),
-            {
-                "current": Column(slopes.level, "A"),
-                "rising": Column(slopes.rising, "N m", "torque minus the straight line"),
-                "falling": Column(slopes.falling, "N m", "torque minus the straight line"),
-            },
-            signal="rising",
-            description="Friction of the shaft in the staircases, mean of all",
-        ),
-    }
-
-
-def _notes(found: Calibration, recipe: Recipe) -> tuple[str, ...]:
-    notes, settings = [], recipe.calibrate_kt
-    ratio = found.mean.value / recipe.rig.torque_constant
-    if not 1 / FAR_OFF < ratio < FAR_OFF:
-        notes.append(
-            f"the measured constant is {ratio:.3g} times the data sheet's, rig.torque_constant = "
-            f"{recipe.rig.torque_constant:g} N m/A: see to the units of force, arm and current"
-        )
-    parts = sorted(found.components.items(), key=lambda item: -item[1])
-    budget = ", ".join(f"{name} {u * 100:.2g} %" for name, u in parts if u > 0)
-    notes.append(f"standard uncertainty of torque_constant_mean: {budget}")
-    slopes = found.slopes
-    notes.append(
-        f"heat in the winding lowered the torque constant by {slopes.heating * 100:.2g} % within "
-        f"the staircases (time constant {slopes.time_constant:.2g} s); corrected"
-    )
-    if found.coefficient is None:
-        notes.append(
-            f"all staircases are within {SAME_TEMPERATURE:g} K of {found.temperature[0]:.4g} degC: "
-            "no temperature coefficient and no value at 20 degC; torque_constant_mean holds there "
-            "only. Measure at a second temperature"
-        )
-    else:
-        notes.extend(_extrapolation(found, settings.reference_range_degc))
-    if found.rotor_angles < 3:
-        known = f"{found.rotor_angles} rotor angles" if found.rotor_angles else "unknown angles"
-        notes.append(
-            f"measured at {known}: the amplifier's ripple does not average out, and its part of "
-            "the uncertainty is missing; clamp the arm at 8 angles around the turn"
-        )
-    return tuple(notes)
-
-
-def _extrapolation(found: Calibration, range_degc: tuple[float, float]) -> list[str]:
-    low, high = float(found.temperature.min()), float(found.temperature.max())
-    outside = [t for t in (20.0, *range_degc) if not low - 2 <= t <= high + 2]
-    if not outside:
-        return []
-    listed = ", ".join(f"{t:g}" for t in dict.fromkeys(outside))
-    return [f"extrapolated to {listed} degC from {low:.3g} to {high:.3g} degC along the line"]
 
 
 PROCEDURE = Procedure(

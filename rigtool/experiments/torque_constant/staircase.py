@@ -6,7 +6,8 @@ torque = mean force on a plateau * arm length
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -84,7 +85,7 @@ def plateaus_of_set_point(
     span = float(np.ptp(setpoint))
     if span == 0:
         raise InsufficientDataError(
-            f"the current set point is {setpoint[0]:g} A throughout: a staircase is needed"
+            f"the current set point is {setpoint[0] + 0.0:g} A throughout: a staircase is needed"
         )
     tolerance = LEVEL_TOLERANCE * span
     new_staircase = (np.diff(t) > 10 * sample + 0.5 * settle_time) | (np.abs(np.diff(angle)) > 0.01)
@@ -120,6 +121,22 @@ def plateaus_of_set_point(
         noise=_noise(newton, number, settled)[keep] * arm_length,
         readings=np.bincount(number)[keep].astype(np.float64),
     )
+
+
+def pool(parts: Sequence[Plateaus]) -> Plateaus:
+    """Return the plateaus of several runs as one series in time."""
+    placed = [parts[0]]
+    for part in parts[1:]:
+        before = placed[-1]
+        later = before.end[-1] - part.begin[0] + 3600.0
+        moved = {
+            "begin": part.begin + later,
+            "end": part.end + later,
+            "staircase": part.staircase + before.staircase[-1] + 1,
+        }
+        placed.append(replace(part, **moved))
+    names = vars(parts[0])
+    return Plateaus(**{name: np.concatenate([vars(p)[name] for p in placed]) for name in names})
 
 
 def _resolution(readings: Array) -> float:

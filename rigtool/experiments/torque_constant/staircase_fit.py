@@ -107,7 +107,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     hypotheses = weigh_hypotheses(stairs, coefficient, trend)
     stairs = hypotheses.stairs
     solution = _solve(stairs, hypotheses.best, coefficient, rise)
-    constant = float(np.mean(solution.slope)) + hypotheses.shift
+    constant = hypotheses.constant
     share = abs(_straight_slope(stairs) / constant - 1 + solution.heating)
     u, dof = _lack_of_fit(stairs, solution, average)
     trend_u, _ = _lack_of_fit(stairs, solution, trend)
@@ -115,7 +115,8 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     level, rising, falling = _branches(stairs, solution.off_line)
     hysteresis, hysteresis_u, hysteresis_dof = _hysteresis(stairs, solution.off_line)
     return Slopes(
-        slope=solution.slope + hypotheses.shift,
+        # Single staircases differ from their mean; what the mean is, all hypotheses say.
+        slope=solution.slope + (constant - float(np.mean(solution.slope))),
         zero=solution.fit.own[:, 1],
         u=solution.u,
         dof=solution.dof,

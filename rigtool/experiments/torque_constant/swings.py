@@ -62,10 +62,15 @@ class Courses:
         torque = self.torque[self.kind] + size * self.torque_rate[self.kind]
         return torque, self.course[self.kind] + size[:, :, None] * self.course_rate[self.kind]
 
-    def less(self, residual: Array) -> Courses:
-        """Return the courses without what a model leaves (g, p) of their torques, N m."""
-        torque, course = self.torque - residual, self.course - residual[:, :, None]
-        return replace(self, torque=torque, course=course)
+    def less(self, torque: Array, rate: Array) -> Courses:
+        """Return the courses without parts (g, p) of their torques and of the rates of these."""
+        return replace(
+            self,
+            torque=self.torque - torque,
+            course=self.course - torque[:, :, None],
+            torque_rate=self.torque_rate - rate,
+            course_rate=self.course_rate - rate[:, :, None],
+        )
 
 
 def mean_courses(

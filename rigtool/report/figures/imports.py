@@ -77,9 +77,7 @@ def draw_difference(run: Run, table: Table) -> Figure:
     factor, unit = display_unit(
         table.columns["difference"].unit, float(np.nanmax(np.abs(table["difference"])))
     )
-    from matplotlib.figure import Figure as NewFigure
-
-    figure = NewFigure(figsize=(style.WIDTH, style.HEIGHT), layout="constrained")
+    figure = style.empty()
     panels = figure.subplots(1, 2, sharey=True)
     for axes, along in zip(panels, ("time", "position"), strict=True):
         for name, colour, label in (

@@ -37,7 +37,7 @@ def draw_lookup_table(run: Run, table: Table) -> style.Figure:
     """Fig. 50: content of the two-dimensional table, torque by position and speed, as two views."""
     position, torque = thin(120, counts(run, table, "position"), MILLI * table["torque"])
     speeds = table["speed"]
-    figure = style.empty(6.4, layout=None)
+    figure = style.empty(6.4)
     axes: Any = figure.add_axes((0, 0.42, 1, 0.58), projection="3d")
     axes.plot_surface(
         *np.meshgrid(position, speeds),

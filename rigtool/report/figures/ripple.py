@@ -100,7 +100,8 @@ def draw_psd_by_speed(run: Run, table: Table) -> style.Figure:
     speeds, frequency = table["speed"], np.asarray(table["frequency"])
     rows = np.unique(np.linspace(0, len(speeds) - 1, MAX_SPECTRA).round().astype(int))
     figure, axes = style.panels(len(rows), "frequency [Hz]", [""] * len(rows), 1 + 1.1 * len(rows))
-    figure.supylabel("PSD [(mN m)²/Hz]", fontsize=9)
+    middle = axes[(len(rows) - 1) // 2]  # or the gap below it
+    middle.set_ylabel("PSD [(mN m)²/Hz]", y=0.5 if len(rows) % 2 else -0.1)
     highest = 3.2 * speeds.max() / (2 * np.pi)
     shown = (frequency > 0) & (frequency <= highest)
     levels = MILLI**2 * table["psd"][:, shown]

@@ -6,11 +6,9 @@ Colours are those of Okabe and Ito (2008), distinct for the colour-blind and in 
 
 from __future__ import annotations
 
-import io
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from rigtool.errors import UsageError
 
@@ -33,7 +31,6 @@ COLOUR_MAP = "cividis"
 WIDTH = 6.3
 """Text width of an A4 page, inches."""
 HEIGHT = 3.4
-PNG_DPI = 150
 
 _STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
@@ -53,6 +50,11 @@ _STYLE: dict[Any, Any] = {
     "svg.hashsalt": "rigtool",
     "svg.fonttype": "path",
     "path.simplify_threshold": 0.3,
+    # About where the labels of most figures leave a panel: its ticks stay what they are there.
+    "figure.subplot.left": 0.09,
+    "figure.subplot.right": 0.99,
+    "figure.subplot.bottom": 0.13,
+    "figure.subplot.top": 0.92,
 }
 
 
@@ -65,8 +67,8 @@ def styled() -> Iterator[None]:
     """
     try:
         import matplotlib
-        import matplotlib.backends.backend_agg
-        import matplotlib.backends.backend_svg
+
+        from rigtool.report.figures import drawing  # noqa: F401
     except (OSError, ValueError) as error:
         raise UsageError(f"matplotlib: {error}: correct MPLBACKEND or its matplotlibrc") from None
     from cycler import cycler
@@ -77,15 +79,11 @@ def styled() -> Iterator[None]:
         yield
 
 
-def empty(
-    height: float = HEIGHT,
-    width: float = WIDTH,
-    layout: Literal["constrained"] | None = "constrained",
-) -> Figure:
+def empty(height: float = HEIGHT, width: float = WIDTH) -> Figure:
     """Return a figure without axes; height and width in inches."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height), layout=layout)
+    return Figure(figsize=(width, height))
 
 
 def one_panel(x: str, y: str, height: float = HEIGHT) -> tuple[Figure, Axes]:
@@ -134,29 +132,14 @@ def colours(count: int) -> list[Any]:
 
 
 def render_figure(figure: Figure) -> tuple[str, bytes]:
-    """Return the figure as SVG and PNG; equal figures give equal bytes.
+    """Return the figure as SVG and PNG, drawn once; equal figures give equal bytes."""
+    from rigtool.report.figures import drawing
 
-    Each canvas draws once; `savefig` would draw and lay out the figure twice for each. The PNG
-    is first: its layout has measured the texts that it draws, where an SVG measures them again.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-
-    svg, png = io.StringIO(), io.BytesIO()
-    figure.dpi = PNG_DPI
-    FigureCanvasAgg(figure).print_png(png)
-    figure.set_layout_engine("none")  # the layout is done
-    FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None})
-    return _PATH.sub(_rounded, svg.getvalue()), png.getvalue()
+    return drawing.render(figure)
 
 
-_PATH = re.compile(r' d="[^"]*"')
-_NUMBER = re.compile(r"-?\d+\.\d{3,}")
+def save_figure(figure: Figure, kind: str) -> bytes:
+    """Return the figure in one format: png, svg or pdf."""
+    from rigtool.report.figures import drawing
 
-
-def _rounded(path: re.Match[str]) -> str:
-    """Round the coordinates of a path to a hundredth of a point: half the size, the same picture.
-
-    matplotlib writes six decimals and has no setting for that.
-    """
-    return _NUMBER.sub(lambda number: f"{float(number[0]):.2f}", path[0]).replace("\n", " ")
+    return drawing.save(figure, kind)

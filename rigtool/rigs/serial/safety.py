@@ -226,15 +226,17 @@ class Watch:
         if len(time) == 0:
             return None
         limits = self._limits
-        hot = _top(block.get("temperature", time[:0]))
-        if hot is not None and hot > limits.temperature_degc:
+        temperature = block.get("temperature", time[:0])
+        if (temperature > limits.temperature_degc).any():  # NaN is not
+            hot = float(np.nanmax(temperature))
             return _beyond("temperature", hot, limits.temperature_degc, "degC")
         if encoder is not None:
             position = encoder * self._count
-            for value in (np.nanmin(position), np.nanmax(position)) if _any(position) else ():
-                if not limits.position[0] <= value <= limits.position[1]:
-                    nearest = limits.position[0 if value < limits.position[0] else 1]
-                    return _beyond("position", float(value), nearest, "rad")
+            low, high = limits.position
+            if (position < low).any():
+                return _beyond("position", float(np.nanmin(position)), low, "rad")
+            if (position > high).any():
+                return _beyond("position", float(np.nanmax(position)), high, "rad")
             found = (
                 self._blind(time, position)
                 or self._fast(time, position)
@@ -247,8 +249,11 @@ class Watch:
 
     def _blind(self, time: Array, position: Array) -> str | None:
         """Check for how long positions are missing."""
-        begin = time[0] if math.isnan(self._seen) else self._seen
         known = np.isfinite(position)
+        if known.all():
+            self._seen = float(time[-1])
+            return None
+        begin = time[0] if math.isnan(self._seen) else self._seen
         seen = np.maximum.accumulate(np.where(known, time, begin))
         self._seen = float(seen[-1])
         longest = float(np.max(time - seen, initial=0.0, where=~known))
@@ -282,11 +287,12 @@ class Watch:
     def _off(self, block: Block, position: Array) -> str | None:
         """Check the distance of the shaft from its set point."""
         setpoint = block.get("position_setpoint")
-        if not self._closed or setpoint is None or not _any(off := np.abs(position - setpoint)):
+        if not self._closed or setpoint is None:
+            return None
+        off = np.abs(position - setpoint)
+        if not (off > self._limits.following_error).any():
             return None
         worst = int(np.nanargmax(off))
-        if off[worst] <= self._limits.following_error:
-            return None
         return (
             f"the shaft is at {position[worst]:.4g} rad and its set point at {setpoint[worst]:.4g} "
             f"rad, further apart than serial.limits.following_error = "
@@ -345,14 +351,6 @@ class _Tail:
             kept = max(0, int(np.searchsorted(time, time[-1] - self._length)) - 2)
             self._time, self._values = time[kept:], values[kept:]
         return old, time, values
-
-
-def _any(values: Array) -> bool:
-    return bool(np.isfinite(values).any())
-
-
-def _top(values: Array) -> float | None:
-    return float(np.nanmax(values)) if _any(values) else None
 
 
 def _beyond(name: str, value: float, limit: float, unit: str) -> str:

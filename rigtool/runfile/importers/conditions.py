@@ -57,15 +57,14 @@ def conditions(path: Path, mapping: Mapping) -> tuple[dict[str, tuple[float, str
         name: (float(value), unit) for name, (value, unit) in known.items() if value is not None
     }
     for condition in mapping.conditions:
-        factor, unit = condition.si
         if condition.value is not None:
-            found[condition.name] = (condition.value * factor, unit)
+            found[condition.name] = condition.si(condition.value)
         elif condition.pattern is not None:
             value, text = _in_name(path, condition, condition.pattern)
             if value is None:
                 notes.append(text)
             else:
-                found[condition.name] = (value * factor, unit)
+                found[condition.name] = condition.si(value)
     return found, notes
 
 
@@ -112,7 +111,7 @@ def unchanged_parts(path: Path, raw: Raw, mapping: Mapping) -> tuple[list[Part],
     for start, stop in pairwise(sorted({*raw.edges, *changes.tolist()})):
         if stop - start >= FEWEST_SAMPLES:
             here = {
-                item.name: (float(value[start]) * item.si[0], item.si[1])
+                item.name: item.si(float(value[start]))
                 for item, value in zip(by_column, values, strict=True)
             }
             found.append(Part(start, stop, {**whole, **here}))

@@ -41,6 +41,9 @@ JUMP_RATIO, JUMP_PART, MIN_AROUND = 10.0, 0.05, 10
 """A jump of position: in speeds of the samples around it, in parts of the range; and how few
 samples show none."""
 
+NO_SETPOINT, MAX_ZERO = 1e-3, 5e-3
+"""Set points of no current, and the largest current there, relative to the largest set point."""
+
 BLOCKS, SLOW, FEWEST_BLOCKS, CERTAIN = 400, 0.1, 10, 5.0
 """Parts of a recording by which the sign of the effort is judged, the part of the farthest way that
 counts as motion, the fewest parts in a direction, and the multiple of u that is certain."""
@@ -108,7 +111,7 @@ def contradictions(signals: Mapping[str, Array], mapping: mappings.Mapping) -> l
     """Return notes on what the mapping states and the signals contradict."""
     pairs = [*_motions(signals, mapping.rig), *_torques(signals, mapping.rig)]
     notes = [pair.contradiction() for pair in pairs]
-    found = (*notes, *_jumps(signals), _sign_of_work(signals, mapping.rig))
+    found = (*notes, *_jumps(signals), _zero(signals), _sign_of_work(signals, mapping.rig))
     return [note for note in found if note is not None]
 
 
@@ -135,6 +138,23 @@ def _jumps(signals: Mapping[str, Array]) -> Iterator[str]:
             )
 
 
+def _zero(signals: Mapping[str, Array]) -> str | None:
+    """Return a note on a current that is not 0 where its set point is.
+
+    Without a set point nothing shows it: friction and a constant torque take its place.
+    """
+    if "current" not in signals or "current_setpoint" not in signals:
+        return None
+    top = float(np.abs(signals["current_setpoint"]).max())
+    off = signals["current"][np.abs(signals["current_setpoint"]) <= NO_SETPOINT * top]
+    if off.size < MIN_AROUND or abs(shown := float(np.median(off))) <= MAX_ZERO * top:
+        return None
+    return (
+        f"current is {shown:.3g} A where its set point is 0: see to the zero of its reading, and "
+        "state offset in the mapping"
+    )
+
+
 def _motions(signals: Mapping[str, Array], rig: mappings.ImportedRig) -> Iterator[_Pair]:
     """Yield the signals that state one motion, or one current, twice."""
     counted = _by_encoder(signals, rig)
@@ -145,10 +165,11 @@ def _motions(signals: Mapping[str, Array], rig: mappings.ImportedRig) -> Iterato
             "encoder moves {:.3g} times as far as position with encoder_counts = "
             f"{rig.encoder_counts}: correct that, a sign, or counts_per_turn",
         )
+    moved = {**counted, **signals}
     for name in ("position", "speed", "current", "output_position"):
-        if name in signals and f"{name}_setpoint" in signals:
+        if name in moved and f"{name}_setpoint" in signals:
             yield _Pair(
-                signals[name],
+                moved[name],
                 signals[f"{name}_setpoint"],
                 f"{name} changes {{:.3g}} times as much as {name}_setpoint: see to a unit, a scale "
                 "or a sign of one of them",

@@ -142,7 +142,8 @@ def _signal(raw: Raw, mapping: Mapping, name: str) -> Array:
     if signal.wraps_at is not None:
         values = unwrapped(values, signal.wraps_at)
     with np.errstate(over="ignore"):  # found by `to_si`
-        si: Array = (signal.scale * values + signal.offset) * (signal.sign * mapping.factor(name))
+        shown = (signal.scale * values + signal.offset) * (signal.sign * mapping.factor(name))
+        si: Array = shown + mapping.zero(name)
     return si
 
 

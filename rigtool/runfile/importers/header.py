@@ -31,6 +31,12 @@ _WORD = re.compile(r"\W*(?!nan|inf)[^\W\d_]{2}", re.IGNORECASE)
 _STAMP = re.compile(r"^([\d:.]+) -> (?=[^,;\n]*([,;]))", re.MULTILINE)
 """What a terminal puts before a line; and the delimiter of the line."""
 
+_KEY = re.compile(r"\s*(?:- )?(\w+):(?: [^:]*)?")
+"""A line that holds one name, and perhaps its value."""
+
+MOST_KEYS = 0.5
+"""Part of lines that hold one name each from which on a sample takes several."""
+
 MAX_CONTROL_PART = 0.05
 """Part of control characters from which on a file is no text."""
 
@@ -90,6 +96,17 @@ def decode(data: bytes) -> str:
         except UnicodeDecodeError:
             return data.decode("latin-1")
     return data.decode(code, "replace").replace(MINUS, "-")
+
+
+def require_lines_of_samples(path: Path, lines: Lines) -> None:
+    """Raise `RunFileError` where a sample takes several lines, each with a name, as in YAML."""
+    matches = [_KEY.fullmatch(line) for line in lines.text[:LOOKED_AT]]
+    keys = {match[1] for match in matches if match is not None}
+    if len(keys) > 1 and sum(match is not None for match in matches) > MOST_KEYS * len(matches):
+        raise RunFileError(
+            f"{path}: a sample takes several lines, as in YAML: write each sample in a line of its "
+            "own; of ROS by `ros2 topic echo --csv` or `rostopic echo -p`"
+        )
 
 
 def split_lines(text: str, comment: str | None) -> Lines:

@@ -9,7 +9,7 @@ import numpy as np
 
 from rigtool.errors import RunFileError
 from rigtool.recipe.mapping import Mapping, Signal
-from rigtool.recipe.units import UNITS
+from rigtool.recipe.units import UNITS, ZEROS
 from rigtool.runfile.importers.arrays import read_arrays, read_vector
 from rigtool.runfile.importers.convert import stem
 from rigtool.runfile.importers.plan import is_binary
@@ -28,7 +28,7 @@ def read_map(source: Path, mapping: Mapping) -> tuple[Table, list[str]]:
         ("position",),
         {
             "position": Column(position, "rad", "of the rotor"),
-            signal: Column(values * factor, unit),
+            signal: Column(values * factor + ZEROS.get(mapping.map.unit, 0.0), unit),
         },
         signal,
         f"{signal} around a turn, {stem(source)}",

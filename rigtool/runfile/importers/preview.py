@@ -13,7 +13,12 @@ from rigtool.runfile.importers import importers, recognised, understand
 from rigtool.runfile.importers.arrays import load_arrays
 from rigtool.runfile.importers.conditions import unchanged_parts
 from rigtool.runfile.importers.convert import intervals
-from rigtool.runfile.importers.header import before_numbers, decoded_text, split_lines
+from rigtool.runfile.importers.header import (
+    before_numbers,
+    decoded_text,
+    require_lines_of_samples,
+    split_lines,
+)
 from rigtool.runfile.importers.marks import marks_of, split_fields
 from rigtool.runfile.importers.plan import find_files, is_binary
 from rigtool.runfile.importers.raw import Array, read_bytes
@@ -93,6 +98,7 @@ def _columns(source: Path, mapping: Mapping | None) -> list[str]:
         return [*(f"{name or 'array'}: {text}" for name, text in what.items()), remedy]
     layout = FileLayout() if mapping is None else mapping.file
     lines = split_lines(decoded_text(source, read_bytes(source)), layout.comment)
+    require_lines_of_samples(source, lines)
     marks = marks_of(lines.text[len(lines.text) // 2 :], layout)
     rows = [split_fields(line, marks.delimiter) for line in lines.text]
     count = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0

@@ -22,7 +22,13 @@ from rigtool.recipe.mapping import FileLayout
 from rigtool.recipe.units import DATE
 from rigtool.runfile.importers.arrays import columns_of
 from rigtool.runfile.importers.dates import is_date, seconds_of
-from rigtool.runfile.importers.header import Lines, decoded_text, header_of, split_lines
+from rigtool.runfile.importers.header import (
+    Lines,
+    decoded_text,
+    header_of,
+    require_lines_of_samples,
+    split_lines,
+)
 from rigtool.runfile.importers.labels import labelled
 from rigtool.runfile.importers.marks import (
     BLANK,
@@ -81,6 +87,7 @@ def read_text(
     if (found := labelled(lines, {str(column) for column in asked})) is not None:
         names, lines, marks = found
         return read_numbers(path, lines, marks, asked, names, skip_bad, words_of(mapping)), []
+    require_lines_of_samples(path, lines)
     marks = marks_of(lines.text[len(lines.text) // 2 :], layout)
 
     def read(

@@ -44,6 +44,14 @@ def test_there_is_no_value_about_a_current_at_its_limit(causal, first):
     assert np.flatnonzero(outside)[[0, -1]].tolist() == [first, 1109]
 
 
+@pytest.mark.parametrize("middle", [950, 1080, 2020, 2060])
+def test_the_span_holds_all_that_a_state_depends_on(middle):
+    whole, judge = moments(), Judge(REACH, COUNT, STEP)
+    whole.limited[1000:1010] = 1.0
+    around = whole.part(middle - judge.span, middle + judge.span + 1)
+    assert judge.states(around)[judge.span] == judge.states(whole)[middle]
+
+
 @pytest.mark.parametrize("causal", [False, True])
 def test_the_speed_that_leaves_what_was_learned_is_a_mean(causal):
     for scale, beyond in ((10.5, False), (11.5, True)):

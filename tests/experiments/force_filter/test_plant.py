@@ -65,6 +65,19 @@ def test_a_bristle_bends_as_its_differential_equation_says(z, path, x0):
     assert parts == pytest.approx(found, rel=1e-9, abs=1e-12)
 
 
+def test_a_bristle_that_bends_is_damped():
+    """In a short sample, damping d takes static d (change of the bristle) / J off the speed."""
+
+    def after(damping):
+        x = np.zeros(STATES)
+        x[[SPEED, GRASPER_SPEED]] = 0.05, 0.05 / 0.85
+        return step(replace(PLANT, presliding_damping=damping, sample_time=2e-5), x)
+
+    damped, free = after(1e-3), after(0.0)
+    slower = PLANT.static * 1e-3 * free[BRISTLE] / PLANT.inertia
+    assert free[SPEED] - damped[SPEED] == pytest.approx(slower, rel=0.02)
+
+
 def test_friction_of_sliding_is_coulombs_and_the_tendon_carries_the_load():
     plant = replace(PLANT, static=PLANT.coulomb, asymmetry=0.0, housing_asymmetry=0.0)
     x = np.zeros(STATES)

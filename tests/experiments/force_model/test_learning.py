@@ -19,6 +19,7 @@ from rigtool.experiments.force_model.deviations import (
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.learning import (
     SLIDING_PARAMETERS,
+    Problem,
     learn_sliding,
     stepped_shape,
 )
@@ -214,6 +215,26 @@ def test_a_load_that_swings_anew_in_each_cycle_gets_a_remark(fit, learned, hertz
     assert note.startswith("known_000_001: its cycles scatter by 9 times")
     assert cause in note
     assert scatter_hz(swinging) == pytest.approx(hertz, abs=0.2)
+
+
+def test_the_time_by_which_the_current_is_late_is_found(fit):
+    """All currents are asked for 0.2 ms before they act: by their spectra, without the prior."""
+    own, late = fit.problem, 0.2e-3
+
+    def asked(record):
+        way = 2j * np.pi * np.fft.rfftfreq(record.current.size, record.interval)
+        sooner = np.fft.irfft(np.fft.rfft(record.current) * np.exp(way * late), record.current.size)
+        return replace(record, current=sooner)
+
+    def delay(records):
+        terms = [replace(t, spread=1.0) if t.kind is Kind.DELAY else t for t in own.terms]
+        problem = Problem(records, tuple(terms), KNOWN, own.start, own.deviation, own.friction)
+        problem.variance = own.variance
+        found, _ = problem.cost(fit.learned.shape)
+        return found[[term.kind for term in terms].index(Kind.DELAY)]
+
+    change = delay([asked(record) for record in own.records]) - delay(own.records)
+    assert change == pytest.approx(late, rel=0.02)
 
 
 def test_what_comes_back_in_each_pass_is_no_news(fit):

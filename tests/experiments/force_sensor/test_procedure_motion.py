@@ -44,12 +44,13 @@ def test_a_path_passes_through_its_points_and_begins_and_ends_at_rest():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("time,angle\n0,1\n", "first line must be time_s,angle_deg"),
-        ("time_s,angle_deg\n0,1\n", "two points at least"),
-        ("time_s,angle_deg\n0,1\n0,2\n", "times that rise"),
-        ("time_s,angle_deg\n0,1\n1,nan\n", "numbers only"),
-        ("time_s,angle_deg\n0,1\n1,x\n", "could not convert"),
-        ("time_s,angle_deg\n0,1\n1\n", "cannot be used"),
+        ("time,angle\n0,1\n", "first line must be time_s,angle_deg, it is 'time,angle'"),
+        ("time_s,angle_deg\n0,1\n", "1 points, two"),
+        ("time_s,angle_deg\n0,1\n\n0,2\n", "line 4: 0 s follows 0 s"),
+        ("time_s,angle_deg\n0,1\n1,nan\n", "line 3, '1,nan', must be two numbers"),
+        ("time_s,angle_deg\n0,1\n1,x\n", "line 3, '1,x', must"),
+        ("time_s,angle_deg\n0,1\n1\n", "line 3, '1', must"),
+        ("time_s,angle_deg\n0,2,5\n1,3,5\n", "line 2, '0,2,5', must"),
         ("", "cannot be used"),
     ],
 )
@@ -58,6 +59,19 @@ def test_a_file_that_is_no_path_is_refused(tmp_path, text, message):
     file.write_text(text)
     with pytest.raises(RecipeError, match=message):
         path_of(file)
+
+
+def test_a_path_may_begin_with_a_byte_order_mark(tmp_path):
+    (file := tmp_path / "path.csv").write_bytes(b"\xef\xbb\xbftime_s,angle_deg\r\n0,0\r\n1,90\r\n")
+    np.testing.assert_allclose(path_of(file), [[0.0, 1.0], [0.0, np.pi / 2]])
+
+
+@pytest.mark.parametrize("motion", [["kind=sine", "frequency_hz=1e-4"], ["kind=path"], []])
+def test_a_motion_that_lasts_too_long_is_refused(tmp_path, motion):
+    (file := tmp_path / "path.csv").write_text("time_s,angle_deg\n0,20\n1e9,90\n")
+    sets = [*motion, f"file={file}"] if motion == ["kind=path"] else [*motion, "time_max=5"]
+    with pytest.raises(RecipeError, match="time_max is"):
+        path_from_start(recipe(*sets), 5.0)
 
 
 def test_motions_beyond_what_was_learned_are_refused():

@@ -11,7 +11,7 @@ from rigtool.errors import InsufficientDataError, RecipeError, RunFileError, Usa
 from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
 from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.force_sensor.procedure_live import LiveForce
-from rigtool.experiments.force_sensor.procedure_over_time import over_time
+from rigtool.experiments.force_sensor.procedure_over_time import model_and_reach, over_time
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.recipe import load_recipe
 from rigtool.runfile import RecordingSpec, RunWriter, open_run
@@ -108,6 +108,12 @@ def test_motions_beyond_what_was_learned_are_refused_before_anything_moves(rig):
     assert not (rig.folder / "fast.h5").exists()
     with pytest.raises(UsageError, match="time_max = 60 s"):
         rig(61.0, "measure_force.motion.time_max=60", name="fast.h5")
+    for seconds, setting in ((1.9, "kind=hold"), (9.0, "bandwidth_hz=0.05")):
+        with pytest.raises(RecipeError, match="the filter needs"):
+            rig(seconds, f"measure_force.motion.{setting}", name="fast.h5")
+    with pytest.raises(InsufficientDataError, match=r"each 12\.5 ms .* lower"):
+        rig(9.0, "measure_force.motion.record_every=100", name="fast.h5")
+    assert not list(rig.folder.glob("fast.h5*"))
 
 
 def test_a_torque_beyond_the_learned_has_no_value(rig):
@@ -131,6 +137,21 @@ def test_tables_without_the_model_are_refused_with_the_remedy(rig, tmp_path):
 def test_a_motor_warmer_than_calibrated_is_refused_with_the_remedy(rig):
     with pytest.raises(InsufficientDataError, match=r"to 70\.1 degC.*from 20 to 50.*calibrate"):
         rig(3.0, "virtual.thermal.ambient_degc=70", name="warm.h5")
+
+
+def test_the_model_rests_on_the_recipe_that_it_was_learned_with(rig):
+    """A longer tip, or another nominal inertia, changes nothing of what was learned."""
+    changed = ["rig.inertia.rotor=3e-5", "rig.instrument.grasper_length=0.03"]
+    with open_run(KT) as kt, open_run(rig.tables) as tables:
+        (model, reach), (other, same) = (
+            model_and_reach(tables, kt, load_recipe(RECIPE, [*RIG, *sets])[0])
+            for sets in ([], changed)
+        )
+        assert reach == same
+        assert model.plant(1.0).inertia == other.plant(1.0).inertia
+        factor = load_recipe(RECIPE, [*RIG, "rig.instrument.torque_factor=1.0"])[0]
+        with pytest.raises(RunFileError, match=r"learned with torque factor 1\.18"):
+            model_and_reach(tables, kt, factor)
 
 
 def test_a_hold_stands_still_and_says_so(rig):

@@ -1,5 +1,6 @@
 """`stribeck` on imported runs: holds with settling, any motion, linear axes, and public data."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,11 @@ from rigtool.experiments.running.session import run_command
 from rigtool.recipe.mapping import load_mapping
 from rigtool.runfile import open_run
 from rigtool.runfile.importers import import_files
-from tests.experiments.imported_runs import take
+from tests.experiments.imported_runs import crossed, take
 from tests.thorough import thorough
 
 ROOT = Path(__file__).parents[3]
+FIXTURES = ROOT / "tests" / "fixtures"
 DATA = ROOT / ".." / "shared" / "data"
 DRIVE = DATA / "epos-stribeck" / "experiments" / "driveNo1" / "steady_state" / "0.096kg"
 TOOL = DATA / "mis-tool" / "Tool_4_Maryland_L_4"
@@ -259,3 +261,31 @@ def test_holds_in_which_the_shaft_starts_and_stops_are_left_out_as_at_the_bench(
         outcome = analyse(take(tmp_path / name, mapping, {"a": arrays}), tmp_path / "f.h5")
         assert any(said in note for note in outcome.notes), "\n".join(outcome.notes)
     assert outcome.tables["holds"].shape == (5,)
+
+
+CROSSED = """mapping = 1
+[rig]
+name = "the bench"
+encoder_counts = 4000
+inertia = 1.503e-5
+[signals]
+time = { column = "time [s]", unit = "s" }
+current = { column = "current_setpoint [A]", unit = "A" }
+encoder = { column = "encoder [count]", unit = "count" }
+"""
+ASKED = 'position_setpoint = { column = "position_setpoint [rad]", unit = "rad" }\n'
+
+
+@pytest.mark.parametrize(("text", "within"), [(CROSSED + ASKED, 1e-3), (CROSSED, 1.0)])
+def test_holds_of_the_bench_are_the_same_as_an_import(tmp_path, text, within):
+    """By the set point to the digits of a CSV, without it within u."""
+    stored = json.loads((FIXTURES / "references.json").read_text())["friction"]
+    paths = crossed(tmp_path, FIXTURES / "friction.h5", ["holds"], text)
+    with open_run(FIXTURES / "kt.h5") as kt:
+        found = analyse(paths, tmp_path / "friction.h5", kt=kt).results
+    for name in ("coulomb_friction", "viscous_friction"):
+        assert abs(found[name].value - stored[name]["value"]) < within * stored[name]["u"]
+        assert found[name].u == pytest.approx(stored[name]["u"], rel=0.1, abs=0)
+    assert abs(found["friction_offset"].value - stored["friction_offset"]["value"]) < (
+        3 * found["friction_offset"].u
+    )

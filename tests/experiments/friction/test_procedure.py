@@ -12,7 +12,11 @@ from rigtool.errors import InsufficientDataError, RunFileError
 from rigtool.experiments.friction import holds
 from rigtool.experiments.friction import procedure as stribeck
 from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
-from rigtool.experiments.friction.procedure_analysis import _encoder_shaking, _find_holds
+from rigtool.experiments.friction.procedure_analysis import (
+    _encoder_shaking,
+    _find_holds,
+    fit_holds,
+)
 from rigtool.experiments.friction.results import Scale
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
@@ -297,15 +301,25 @@ def test_what_samples_lack_is_in_the_uncertainty_of_friction_or_refuses_it(measu
         between_set_points(path, kt, [(30.0, 0.02)])
 
 
-def test_how_far_the_steps_of_the_encoder_shake_the_shaft():
-    """Against noise of a step, evenly distributed, through the loop by scipy."""
-    recipe = load_recipe(RECIPE, ["rig.encoder_counts=2000"])[0]
+def speed_by_steps(recipe, error):
+    """Return the standard deviation of speed by an error of the encoder, rad (n,), by scipy."""
     loop = position_loop(**recipe.rig.loop_design).complementary_sensitivity
-    noise = (np.random.default_rng(1).random(100_000) - 0.5) * 2 * np.pi / 2000
     delays = np.zeros(loop.relative_degree)
-    angle = signal.lfilter(np.concatenate([delays, loop.num]), loop.den, noise)
-    speed = np.diff(angle) / recipe.rig.sample_time
-    assert _encoder_shaking(recipe) == pytest.approx(np.std(speed[1000:]), rel=0.03)
+    angle = signal.lfilter(np.concatenate([delays, loop.num]), loop.den, error)
+    return np.std(np.diff(angle)[1000:] / recipe.rig.sample_time)
+
+
+def test_how_far_the_steps_of_the_encoder_shake_the_shaft():
+    """Against noise of a step, evenly distributed, and against the steps of a slow turn."""
+    recipe = load_recipe(RECIPE, ["rig.encoder_counts=2000"])[0]
+    step = 2 * np.pi / 2000
+    noise = (np.random.default_rng(1).random(100_000) - 0.5) * step
+    found = _encoder_shaking(recipe, np.array([-20.0]))
+    assert found == pytest.approx(speed_by_steps(recipe, noise) / 20, rel=0.03)
+    angle = 0.3 * recipe.rig.sample_time * np.arange(100_000)
+    found = _encoder_shaking(recipe, np.array([0.3]))
+    steps = np.floor(angle / step) * step - angle
+    assert found == pytest.approx(speed_by_steps(recipe, steps) / 0.3, rel=0.03)
 
 
 def test_samples_that_do_not_show_the_shaking_take_what_the_steps_make(measured, monkeypatch):
@@ -315,4 +329,22 @@ def test_samples_that_do_not_show_the_shaking_take_what_the_steps_make(measured,
         found = _find_holds(
             stored.recording("holds"), recipe, Scale(Quantity(0.045, "N m/A", 1e-5))
         )
-    assert_allclose(found.shaking, _encoder_shaking(recipe) / np.abs(found.speed))
+    assert_allclose(found.shaking, _encoder_shaking(recipe, found.speed))
+
+
+def test_a_note_states_why_holds_are_left_out():
+    """Slow ones by the encoder's steps, one by what else shakes it; not known without the steps."""
+    speed = np.outer([1, -1], [0.2, 0.3, 0.6, *np.geomspace(1, 30, 12)]).ravel()
+    shaking = 0.1 / np.abs(speed)
+    shaking[np.isclose(np.abs(speed), 0.6)] = 0.9
+    torque, some = 2e-3 * np.sign(speed) + 5e-5 * speed, np.ones(len(speed))
+    every = holds.Holds(speed, torque, 1e-5 * some, 9 * some, some, shaking, 0 * some)
+    _, kept, notes = fit_holds([every], 0.09 / np.abs(speed))
+    assert np.abs(kept.speed).min() == 1
+    assert len(notes) == 2
+    assert "at 0.6 rad/s" in notes[0]
+    assert "starts and stops" in notes[0]
+    assert "at 0.2, 0.3 rad/s" in notes[1]
+    assert "encoder's steps" in notes[1]
+    (unknown,) = fit_holds([every])[2]
+    assert "at 0.2, 0.3, 0.6 rad/s" in unknown

@@ -298,6 +298,29 @@ def test_strokes_as_learned_have_the_zero_that_was_learned(learned):
     assert of_this_zero(measured, learned.model) == (measured, [])
 
 
+def test_strokes_at_other_places_have_the_u_that_such_strokes_ask_for():
+    """Each place is a mounting with friction of its own."""
+    places = {0.0: 0.012, 15.0: -0.012, 30.0: 0.012, 45.0: -0.012}
+    runs = [
+        observe(load, 0.2, zero=zero, drift=drift, seed=number, seconds=7.0)
+        for zero, drift in places.items()
+        for number, load in enumerate((0.02, 0.04, 0.06))
+    ]
+    model = learn_load_model(runs).model
+    assert model.strokes == pytest.approx([-45.0, -30.0, -15.0, 0.0], abs=0.5)
+    as_learned = replace(model, sides=tuple(replace(side, elsewhere=1.0) for side in model.sides))
+    held = []
+    for zero, elsewhere in ((7.5, True), (37.0, True), (15.0, False)):
+        item = observe(0.04, 0.2, zero=zero, drift=-0.012, seed=9, seconds=7.0)
+        assert model.elsewhere(item.path) == elsewhere
+        wide, narrow = (one.estimate(item.effort, item.path) for one in (model, as_learned))
+        own, error = wide.inside, np.abs(wide.torque - item.sensor)
+        assert (wide.u > narrow.u)[own].all() == elsewhere
+        held.append([np.mean(error[own] <= 1.96 * one.u[own]) for one in (wide, narrow)])
+    assert np.min(held[:2], axis=0)[0] > 0.95 > 0.85 > np.min(held[:2], axis=0)[1]
+    assert held[2][0] == held[2][1]
+
+
 def test_one_direction_alone_is_not_compared(learned):
     item = observe(0.05, 0.2)
     rising = item.path.speed > 0

@@ -18,13 +18,14 @@ from rigtool.quantity import Quantity
 from rigtool.recipe.mapping import load_mapping, parse_mapping
 from rigtool.runfile import RunWriter, open_run
 from rigtool.runfile.importers import import_files
-from tests.experiments.imported_runs import ORDERS, SLOW, slow_turn, take
+from tests.experiments.imported_runs import ORDERS, SLOW, crossed, slow_turn, take
 
 ROOT = Path(__file__).parents[3]
 COGGING = ROOT / ".." / "shared" / "data" / "odrive-cogging" / "analysis" / "cogging_torque"
 needs_data = pytest.mark.skipif(
     not COGGING.is_dir(), reason="the public data sets are not beside the repository"
 )
+FIXTURES = ROOT / "tests" / "fixtures"
 OPTIONS = CommonOptions(overwrite=True)
 
 
@@ -248,3 +249,28 @@ def test_one_map_has_the_noise_of_its_orders(tmp_path):
     noise = mapped(tmp_path / "b", {"noise": random.normal(0, 0.1, 720)})
     with pytest.raises(InsufficientDataError, match="no order of rotation exceeds"):
         learn([noise["noise"]], tmp_path / "none.h5")
+
+
+CROSSED = """mapping = 1
+[rig]
+name = "the bench"
+encoder_counts = 2000
+[signals]
+time = { column = "time [s]", unit = "s" }
+current = { column = "current_setpoint [A]", unit = "A" }
+encoder = { column = "encoder [count]", unit = "count", offset = OFFSET }
+"""
+
+
+@pytest.mark.parametrize(("counts", "fitting"), [(0, True), (50, False)])
+def test_a_run_of_the_bench_has_the_verdict_of_the_bench_against_its_table(
+    tmp_path, counts, fitting
+):
+    """Six turns scatter by half of the ripple: that is no misfit. Nine degrees are."""
+    text = CROSSED.replace("OFFSET", str(counts))
+    paths = crossed(tmp_path, FIXTURES / "turning.h5", ["learn_000"], text)
+    with open_run(FIXTURES / "kt.h5") as kt:
+        outcome = check(paths, FIXTURES / "turning.h5", tmp_path / "check.h5", kt=kt)
+    shift = outcome.results["table_shift"]
+    assert ilc_check.fits(outcome) == fitting
+    assert abs(shift.value - counts * 2 * np.pi / 2000) < 2.5 * shift.u

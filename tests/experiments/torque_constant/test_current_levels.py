@@ -49,7 +49,7 @@ def draw(kind, seed):
     [("staircase", True, 0.015), ("one way", True, 0.06), ("ramp", False, 0.04)],
 )
 def test_intervals_of_drawn_motors_hold(kind, plateaus, largest):
-    errors, held, draws = [], 0, 20
+    errors, held, draws = [], 0, 12
     for seed in range(draws):
         (constant, change), recorded = draw(kind, seed)
         points = find_points(recorded)
@@ -62,6 +62,38 @@ def test_intervals_of_drawn_motors_hold(kind, plateaus, largest):
         assert fit.one_way == (kind == "one way")
     assert held >= draws - 2
     assert np.max(np.abs(errors)) < largest
+
+
+@pytest.mark.parametrize(("samples", "levels", "cycles"), [(5, 40, 5), (10, 16, 2)])
+def test_short_plateaus_are_plateaus(samples, levels, cycles):
+    """As ramps they are 1 % off; with few lengths of the transition, beyond their u."""
+    off = []
+    for seed in range(4):
+        random = np.random.default_rng(seed)
+        up = np.linspace(0, 4, levels)
+        cycle = np.concatenate([up, up[-2:0:-1]])
+        current = np.append(np.tile(cycle, cycles), 0).repeat(samples)
+        length, state, states = random.uniform(0.02, 0.8), 0.0, np.zeros(len(current))
+        for index, step in enumerate(np.diff(current, prepend=0.0)):
+            if step:
+                state = np.sign(step) + (state - np.sign(step)) * np.exp(-abs(step) / length)
+            states[index] = state
+        torque = 0.05 * current - 0.006 * states + random.normal(0, 6e-4, len(current))
+        measured = current + random.normal(0, 2e-3, len(current))
+        points = find_points(Course(np.arange(len(current)) * 0.02, measured, torque))
+        assert points.plateaus
+        fit = fit_constant([points])
+        assert abs(fit.constant - 0.05) < 2.5 * np.hypot(fit.constant_u, 0.05 * fit.curvature_u)
+        off.append(fit.constant / 0.05 - 1)
+    assert np.sqrt(np.mean(np.square(off))) < 0.004
+
+
+def test_a_ramp_that_is_read_in_steps_is_a_ramp():
+    current = course("ramp", 3.0)
+    torque = 0.05 * current + np.random.default_rng(2).normal(0, 1e-4, len(current))
+    read = np.round(current / 0.1) * 0.1
+    points = find_points(Course(np.arange(len(current)) * 0.02, read, torque))
+    assert not points.plateaus
 
 
 def test_a_motor_that_drives_a_brake_both_ways_without_a_recorded_speed():
@@ -116,5 +148,5 @@ def test_ramps_with_friction_that_turns_at_once_and_slow_ripple(ripple):
         measured = current + random.normal(0, 0.006, len(current))
         fit = fit_constant([find_points(Course(np.arange(len(current)) * 0.02, measured, torque))])
         errors.append((fit.constant - constant) / fit.constant_u)
-        assert abs(fit.constant / constant - 1) < 0.008 + 2 * ripple
+        assert abs(fit.constant / constant - 1) < 0.008 + 2.5 * ripple
     assert np.max(np.abs(errors)) < 2.5

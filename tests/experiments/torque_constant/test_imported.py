@@ -1,5 +1,9 @@
 """`calibrate-kt` on imported runs, and its result as --kt of another command."""
 
+import json
+from pathlib import Path
+
+import numpy as np
 import pytest
 
 from rigtool.errors import RunFileError
@@ -8,7 +12,7 @@ from rigtool.experiments.running.session import run_command
 from rigtool.experiments.torque_constant.procedure import PROCEDURE
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.runfile import open_run
-from tests.experiments.imported_runs import take
+from tests.experiments.imported_runs import crossed, take
 from tests.experiments.torque_constant.test_current_levels import draw
 
 TEXT = """mapping = 1
@@ -24,7 +28,7 @@ force = { column = "f", unit = "N" }
 """
 
 
-LEFT_OUT = ("force", "temperature")
+FIXTURES = Path(__file__).parents[2] / "fixtures"
 
 
 def calibrate(paths, output):
@@ -58,3 +62,71 @@ def test_a_run_without_a_sensor_is_refused(tmp_path):
     with pytest.raises(RunFileError, match="no torque of a sensor"):
         calibrate(paths, tmp_path / "kt.h5")
     assert not (tmp_path / "kt.h5").exists()
+
+
+CROSSED = """mapping = 1
+[rig]
+name = "the bench"
+arm_length = 0.54
+reference_relative_u = 5e-4
+[signals]
+time = { column = "time [s]", unit = "s" }
+current = { column = "current [A]", unit = "A" }
+force = { column = "force [N]", unit = "N" }
+temperature = { column = "temperature [degC]", unit = "degC" }
+"""
+ANGLE = 'rotor_angle = { column = "rotor_angle [rad]", unit = "rad" }\n'
+
+
+def test_a_run_of_the_bench_gives_the_same_without_its_set_point(tmp_path):
+    """Its settling is another part of each plateau; the rest is one analysis."""
+    stored = json.loads((FIXTURES / "references.json").read_text())["kt"]
+    (path,) = crossed(tmp_path, FIXTURES / "kt.h5", ["staircase"], CROSSED + ANGLE)
+    found = calibrate([path], tmp_path / "kt.h5").results
+    for name in ("torque_constant", "torque_constant_mean"):
+        assert found[name].value == pytest.approx(stored[name]["value"], rel=2e-4, abs=0)
+        assert found[name].u < 1.5 * stored[name]["u"]
+    name = "torque_constant_temperature_coefficient"
+    assert abs(found[name].value - stored[name]["value"]) < stored[name]["u"]
+    assert not any(name.startswith("amplifier") for name in found)
+
+
+def test_a_single_staircase_has_usual_sizes_for_what_it_does_not_show(tmp_path):
+    _, recorded = draw("staircase", 5)
+    arrays = {"t": recorded.time, "i": recorded.current, "f": recorded.torque / 0.5}
+    paths = take(tmp_path, TEXT, {"a": {**arrays, "degc": recorded.temperature}})
+    notes = " ".join(calibrate(paths, tmp_path / "kt.h5").notes)
+    assert "1 staircase does not show heat" in notes
+
+
+def test_repeated_staircases_of_a_turning_shaft_are_not_those_of_a_bench(tmp_path):
+    _, recorded = draw("staircase", 5)
+    arrays = {"t": recorded.time, "i": recorded.current, "f": recorded.torque / 0.5}
+    arrays |= {"degc": recorded.temperature, "v": np.full(len(recorded.time), 30.0)}
+    text = TEXT + 'speed = { column = "v", unit = "rad/s" }\n'
+    paths = take(tmp_path, text, {"a": arrays, "b": arrays})
+    outcome = calibrate(paths, tmp_path / "kt.h5")
+    assert "the shaft turns" in " ".join(outcome.notes)
+    assert "calibration_points" in outcome.tables
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_staircases_without_temperature_state_none(tmp_path, sign):
+    """Of either sign; a set point that does not move is left aside."""
+    current = np.repeat([0, 1, 2, 3, 4, 3, 2, 1, 0], 40) * sign
+    files = {}
+    for name, seed in (("a", 1), ("b", 2)):
+        random = np.random.default_rng(seed)
+        force = current * 0.1 + random.normal(0, 4e-4, len(current))
+        read = current + random.normal(0, 2e-3, len(current))
+        files[name] = {"t": np.arange(len(current)) * 0.05, "i": read, "f": force, "s": 0 * read}
+    text = "\n".join(line for line in TEXT.splitlines() if "degC" not in line)
+    text += '\ncurrent_setpoint = { column = "s", unit = "A" }\n'
+    outcome = calibrate(take(tmp_path, text, files), tmp_path / "kt.h5")
+    found = outcome.results["torque_constant_mean"]
+    assert abs(found.value - 0.05) < 2.5 * found.u
+    assert found.u < 0.02 * found.value
+    assert set(outcome.tables) == {"hysteresis"}
+    notes = " ".join(outcome.notes)
+    assert "temperature was not recorded" in notes
+    assert "by their set point: the current set point is 0 A throughout" in notes

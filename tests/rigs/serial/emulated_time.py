@@ -48,7 +48,8 @@ class Task:
 
     def __init__(self):
         self.ready, self.until, self.done = (lambda: True), math.inf, False
-        self.turn = threading.Semaphore(0)
+        self.turn = threading.Lock()
+        self.turn.acquire()
 
 
 class World:

@@ -168,6 +168,7 @@ def test_watch_sees_what_is_beyond_and_only_that(pieces):
     assert "temperature reached 5" in watched(signals(temperature=20 + time * 100), pieces)
     assert watched(signals(encoder=np.full(400, -0.9 * count)), pieces) is None
     assert "position reached -1.2" in watched(signals(encoder=np.full(400, -1.2 * count)), pieces)
+    assert "position reached 4.2" in watched(signals(encoder=np.full(400, 4.2 * count)), pieces)
 
 
 @pytest.mark.parametrize("closed", [True, False])

@@ -33,6 +33,12 @@ def signals(counts=4096, constant=0.05, noise=0.0, friction=0.0):
     }
 
 
+def stepped(zero):
+    asked = np.repeat([0.0, 1, 2, 1, 0], 400)
+    noise = np.random.default_rng(3).normal(0, 1e-3, 2000)
+    return {"time": np.arange(2000.0), "current": asked + zero + noise, "current_setpoint": asked}
+
+
 wrong = signals()["position"] / 35
 wrong[700] = -1
 
@@ -53,6 +59,13 @@ wrong[700] = -1
         (signals() | {"current_setpoint": -signals()["current"]}, ["current changes -1 times"]),
         (signals() | {"output_position": wrong}, ["motor moves", "output_position jumps 2 times"]),
         (signals(friction=0.1), []),
+        (
+            {"time": signals()["time"], "encoder": signals(counts=1024)["encoder"]}
+            | {"position_setpoint": signals()["position"]},
+            ["position changes 0.25 times as much as position_setpoint"],
+        ),
+        (stepped(0.0), []),
+        (stepped(0.05), ["current is 0.05 A where its set point is 0"]),
         (signals(friction=-0.1), ["current is larger backwards than forwards, by about 0.19"]),
     ],
 )

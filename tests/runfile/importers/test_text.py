@@ -13,9 +13,11 @@ from hypothesis import strategies as st
 from rigtool.errors import RunFileError
 from rigtool.recipe.mapping import parse_mapping
 from rigtool.runfile import open_run
+from rigtool.runfile.importers import import_files
 from rigtool.runfile.importers.marks import fields_of
+from rigtool.runfile.importers.preview import preview
 from rigtool.runfile.importers.text import read_text
-from tests.runfile.importers.mappings import ROWS, TEXT, columns, lines, take
+from tests.runfile.importers.mappings import ROWS, TEXT, columns, lines, mapping, take
 
 
 def read(path, name):
@@ -542,3 +544,43 @@ def test_fields_that_only_others_read(tmp_path, field, hint):
     (tmp_path / "a.csv").write_text("t;i\n" + f"0;{field}\n" * 9)
     with pytest.raises(RunFileError, match=hint):
         take(tmp_path / "a.csv", tmp_path / "a.h5", NAMED)
+
+
+@pytest.mark.parametrize(
+    "sample",
+    [
+        "header:\n  secs: {t}\n  nsecs: 0\nposition: [{x}]\neffort: [{x}]\n---\n",
+        "- time: {t}\n  position: {x}\n",
+    ],
+)
+def test_samples_over_several_lines_are_refused_with_the_remedy(tmp_path, sample):
+    source = tmp_path / "a.yaml"
+    source.write_text("".join(sample.format(t=k, x=k / 8) for k in range(60)))
+    with pytest.raises(RunFileError, match=r"several lines, as in YAML: .* topic echo --csv"):
+        import_files([str(source)], str(tmp_path / "a.h5"), mapping())
+    with pytest.raises(RunFileError, match="takes several lines"):
+        preview([str(source)], None, False)
+    assert not (tmp_path / "a.h5").exists()
+
+
+@pytest.mark.parametrize(("unit", "raw"), [("degF", 77.0), ("°F", 77.0), ("K", 298.15)])
+def test_temperatures_of_other_scales(tmp_path, unit, raw):
+    text = f"""mapping = 1
+[rig]
+name = "bench"
+[file]
+sampling_rate_hz = 10
+[signals]
+temperature = {{ column = 1, unit = "{unit}" }}
+[[conditions]]
+name = "room"
+unit = "{unit}"
+value = {raw}
+"""
+    source = tmp_path / "a.csv"
+    source.write_text(f"{raw}\n" * 20)
+    import_files([str(source)], str(tmp_path / "a.h5"), mapping(text))
+    with open_run(tmp_path / "a.h5") as run:
+        recording = run.recording("imported")
+        assert recording.read("temperature") == pytest.approx(25.0, rel=1e-12, abs=0)
+        assert recording.condition("room") == pytest.approx(25.0, rel=1e-12, abs=0)

@@ -105,7 +105,10 @@ def _of_record(recordings: Sequence[Recording], kt: Run | None, mapped: Orders) 
 
 @dataclass(frozen=True, eq=False)
 class _Compared:
-    """A run against a map, orders 1..m: those of run, map, and remainder `left`."""
+    """A run against a map, orders 1..m: those of run, map, and remainder `left`.
+
+    `noise` is the sum of squared amplitudes that scatter alone gives, 0 where nothing was repeated.
+    """
 
     shown: Spectrum
     mapped: Orders
@@ -114,6 +117,7 @@ class _Compared:
     waveform: Array
     mean_change: float
     mean_u: float | None
+    noise: float
 
     @property
     def fits(self) -> bool:
@@ -127,8 +131,12 @@ class _Compared:
 
     @property
     def left_part(self) -> float:
-        """Part of the variance that the map would have left."""
-        return float(np.sum(self.left.amplitude**2) / np.sum(self.shown.amplitude**2))
+        """Part of the variance beyond the scatter that the map would have left."""
+        left, shown = (
+            max(float(np.sum(each.amplitude**2)) - self.noise, 0.0)
+            for each in (self.left, self.shown)
+        )
+        return left / max(shown, np.finfo(float).tiny)
 
     def results(self, unit: str, name: str) -> dict[str, Quantity]:
         """Return the part that the map would have removed, in all and by order, and its shift."""
@@ -211,7 +219,7 @@ class _Compared:
         head = f"{turns} of {runs} at {group.label()}: "
         degrees, u = math.degrees(match.shift), math.degrees(match.shift_u)
         if self.fits:
-            verdict = f"the table fits: it would have removed {removed:.1%} of the ripple"
+            verdict = f"the table fits: it would have removed {removed:.1%} of what repeats"
         elif self.shifted:
             left = math.sqrt(max(0.0, 1 - match.best_correlation**2))
             verdict = (
@@ -245,7 +253,9 @@ def _compare(group: RepeatedRuns, torque: Array, learned: LearnedTable, orders: 
     left = there - mapped
     # The rest is noise of the runs and of the map, or a change: neighbouring orders show the noise.
     floor = neighbours_floor(np.abs(left))
+    noise = 0.0
     if len(remaining) > 1:
+        noise = float(np.sum(shown.noise_floor**2))
         floor = np.maximum(shown.noise_floor, floor)
     shown = replace(shown, noise_floor=floor)
     clear = shown.clear | (np.abs(mapped) > 0)
@@ -257,6 +267,7 @@ def _compare(group: RepeatedRuns, torque: Array, learned: LearnedTable, orders: 
         remaining.mean(axis=0) + expected - means.mean(),
         float(means.mean()) - learned.table.torque[_row(learned, group.speed)].mean(),
         float(means.std(ddof=1)) / math.sqrt(means.size) if means.size > 1 else None,
+        noise,
     )
 
 

@@ -156,8 +156,9 @@ class MotionTicks:
         """Return position on the drive's zero, speed and acceleration at times of the line."""
         motion = self._task.motion
         assert not isinstance(motion, OpenLoop | Observe)
-        time = np.clip(np.array(moments) - self._start, 0.0, motion.duration)
-        position, speed, acceleration = motion.setpoint(time)
+        end = motion.duration
+        time = [min(max(moment - self._start, 0.0), end) for moment in moments]
+        position, speed, acceleration = motion.setpoint(np.array(time))
         return position + self._origin, speed, acceleration
 
     def _setpoint(

@@ -233,8 +233,11 @@ def test_what_a_rising_reading_holds_besides_a_load(rig):
     assert friction[0] == pytest.approx(0, abs=0.1e-3)
     assert 2 * friction[1] == pytest.approx(friction[2], rel=0.15)
     assert (found.u[1:] < 0.1 * friction[1:]).all()
-    # The tendon's stretch turns the grasper by 61 / 130 rad
+    # The tendon's stretch turns the grasper by 61 / 130 rad: it carries the tip's friction, too
     np.testing.assert_allclose(found.torque[2], 0.06 / math.cos(0.061 / 0.13), rtol=0.01)
+    shape = disturbance.model.shape
+    stretch = (load + shape.tip_friction) / shape.stiffness
+    np.testing.assert_allclose(found.torque, load / np.cos(stretch), rtol=1e-9)
     assert np.abs(found.remains).max() < 1.5e-3
 
 

@@ -40,7 +40,7 @@ def build(folder, name, *flags, source=HOST):
 
 def library(folder, *flags, name="target.so"):
     """Return the target as a library for ctypes."""
-    found = ctypes.CDLL(str(build(folder, name, "-shared", "-fPIC", "-O2", *flags)))
+    found = ctypes.CDLL(str(build(folder, name, "-shared", "-fPIC", "-O1", *flags)))
     found.firmware_send.restype = ctypes.c_uint32
     return found
 

@@ -93,9 +93,9 @@ def friction_fits(rig, **settings):
 @pytest.mark.parametrize(
     ("name", "period", "delay", "tolerance"),
     [
-        ("toy", 0.004, 8e-4, 1e-3),
+        ("toy", 0.01, 3e-4, 1e-3),
         *thorough(
-            ("toy", 0.01, 3e-4, 1e-3),
+            ("toy", 0.004, 8e-4, 1e-3),
             ("odrive", 0.004, 3e-4, 1e-3),
             ("moteus", 0.004, 3e-4, 1e-3),
             ("moteus", 0.01, 8e-4, 1e-3),
