@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import RigtoolError
-from rigtool.runfile import schema
+from rigtool.runfile import schema, tree
 from rigtool.runfile.model import RecordingSpec
 from rigtool.runfile.objects import set_attribute
 
@@ -70,14 +70,11 @@ class Stream:
 
         What fails between two channels leaves all samples waiting: they can be written again.
         """
-        group = self._file[self.path]
         joined = {name: np.concatenate(parts) for name, parts in self._pending.items()}
         for name, values in joined.items():
-            dataset = group[name]
-            dataset.resize((self.written + count,))
-            dataset[self.written :] = values[:count]
+            tree.write_samples(self._file, f"{self.path}/{name}", self.written, values[:count])
         for name, values in joined.items():
-            self._digests[name].update(values[:count].tobytes())
+            self._digests[name].update(values[:count].data)
             self._pending[name] = [values[count:].copy()]
         self.waiting -= count
         self.written += count

@@ -117,6 +117,18 @@ def read_samples(file: h5py.File, signal: Values, start: int, stop: int) -> NDAr
     return samples
 
 
+def write_samples(file: h5py.File, path: str, start: int, samples: NDArray[np.generic]) -> None:
+    """Write samples of the signal at `path` from `start` on; it ends with them.
+
+    h5py's low-level interface takes three quarters of the time of a slice of a `h5py.Dataset`.
+    """
+    dataset = h5py.h5d.open(file.id, path.encode())
+    dataset.set_extent((start + len(samples),))
+    chosen = dataset.get_space()
+    chosen.select_hyperslab((start,), samples.shape)
+    dataset.write(h5py.h5s.create_simple(samples.shape), chosen, samples)
+
+
 def root_text(file: h5py.File, name: str) -> str | None:
     """Return a text attribute of any HDF5 file; None where it is not as rigtool writes it."""
     if not h5py.h5a.exists(file.id, name.encode()):

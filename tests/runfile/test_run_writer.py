@@ -17,7 +17,7 @@ import pytest
 from rigtool.errors import InsufficientDataError, RigtoolError, UsageError
 from rigtool.interrupts import Terminated, handled
 from rigtool.quantity import Quantity
-from rigtool.runfile import RunWriter, open_run, outputs
+from rigtool.runfile import RunWriter, open_run, outputs, tree
 from rigtool.runfile.outputs import own_name, require_output
 from rigtool.runfile.recovery import recover
 from tests.runfile.whole_run import SPECS, samples, write
@@ -99,20 +99,20 @@ def test_failing_later_keeps_every_sample_and_says_so(tmp_path, after):
 @pytest.mark.parametrize("how", ["signal", "error"])
 def test_what_interrupts_the_last_chunk_costs_no_sample(tmp_path, monkeypatch, by, channel, how):
     path, signals = tmp_path / "run.h5", samples(10_000)["sweep"]
-    real, written = h5py.Dataset.__setitem__, []
+    real, written = tree.write_samples, []
 
-    def interrupted(dataset, place, values):
-        written.append(dataset.name)
+    def interrupted(file, name, start, values):
+        written.append(name)
         if len(written) == channel + 1:
             if how == "error":
                 raise MemoryError
             signal.raise_signal(signal.SIGTERM)
-        real(dataset, place, values)
+        real(file, name, start, values)
 
     def record() -> None:
         with handled(), writer(path, recordings=SPECS[:1]) as out:
             out.append("sweep", signals)
-            monkeypatch.setattr(h5py.Dataset, "__setitem__", interrupted)
+            monkeypatch.setattr(tree, "write_samples", interrupted)
             getattr(out, by)(*(["sweep"] if by == "recording" else []))
 
     with pytest.raises(Terminated if how == "signal" else MemoryError):

@@ -121,6 +121,7 @@ struct rs_model {
     rs_real wave_kept, wave_gain, wave_mean[RS_WAVES], wave_variance[RS_WAVES], wave_doubt[RS_WAVES];
     rs_real row_noise, row_walk[2], row_reversal, row_contact, row_untouched, row_kept;
     rs_real row_begins, row_ends, row_changes, row_least, row_evidence, row_certain, row_largest;
+    rs_real row_recognised;
     /* states */
     rs_real sliding, slow, speed_limit, torque_limit, current_limit, largest_current, cold, warm;
     int32_t lowest, highest; /* counts */
@@ -130,6 +131,11 @@ struct rs_model {
 };
 
 @DATA@
+
+/* What is known of the ripple of this power-up: mean, and covariance as U diag(d) U' again. */
+struct rs_ripple {
+    rs_real mean[RS_PARTS], u[RS_PARTS][RS_PARTS], d[RS_PARTS];
+};
 
 /* The filter; its numbers are for nobody else. */
 struct rigtool_sensor {
@@ -147,13 +153,13 @@ struct rigtool_sensor {
     rs_real turn; /* of the output at this count, in turns */
     rs_real at, sine, cosine; /* of the output at the begin of the step */
     int begun, samples, creeps;
-    /* ripple of this power-up, covariance U diag(d) U' again; the row that is filled, torque first */
-    rs_real waves[RS_WAVES], row[RS_PARTS], ripples[RS_PARTS];
-    rs_real ripple_u[RS_PARTS][RS_PARTS], ripple_d[RS_PARTS], ripple_q[RS_ORDER];
+    /* the row that is filled, torque first; and what was known of the ripple, the earlier first */
+    rs_real waves[RS_WAVES], row[RS_PARTS], ripple_q[RS_ORDER];
+    struct rs_ripple known, before[2];
     rs_real plain, plain_variance, other; /* without it; logarithm of the likelihoods' ratio */
     rs_real touched, plain_touched; /* the probability that something touches, with and without it */
     rs_real level[2], level_variance[2], fast; /* then: by a slow, a fast walk; probability of that */
-    int row_steps, row_slid, doubted; /* the wave whose doubt grows next */
+    int row_steps, row_slid, doubted, since; /* the wave whose doubt grows next; rows since then */
     /* states: counts of the last steps, and for how many steps they were one of two */
     int32_t history[RS_SPEED_STEPS];
     int steps, next, still_up, still_down, limit_left;
@@ -742,14 +748,35 @@ static inline void rs_begin_anew(struct rigtool_sensor *s)
 {
     int i, j;
     for (j = 1; j < RS_PARTS; j++) {
-        s->ripple_d[0] += rs_square(s->ripple_u[0][j]) * s->ripple_d[j];
-        s->ripple_d[j] = rs_model.wave_variance[j - 1];
-        s->ripples[j] = rs_model.wave_mean[j - 1];
+        s->known.d[0] += rs_square(s->known.u[0][j]) * s->known.d[j];
+        s->known.d[j] = rs_model.wave_variance[j - 1];
+        s->known.mean[j] = rs_model.wave_mean[j - 1];
         for (i = 0; i < j; i++)
-            s->ripple_u[i][j] = 0;
+            s->known.u[i][j] = 0;
     }
     if (s->other > 0)
         s->other = 0;
+    s->before[0] = s->before[1] = s->known;
+}
+
+/* Go back to what was known before a contact that is recognised, or keep what is known now. */
+static inline void rs_take_back(struct rigtool_sensor *s)
+{
+    int j;
+    s->since++;
+    if (s->touched > rs_model.row_recognised) {
+        s->known = s->before[1] = s->before[0];
+        s->known.mean[0] = 0;
+        s->known.d[0] = rs_model.row_untouched;
+        for (j = 1; j < RS_PARTS; j++)
+            s->known.u[0][j] = 0;
+    } else if (s->since >= RS_LATE_ROWS) {
+        s->before[0] = s->before[1];
+        s->before[1] = s->known;
+    } else {
+        return;
+    }
+    s->since = 0;
 }
 
 /* Let the doubt of one wave grow, of each in turn: U D U' + e q e', W. S. Agee, R. H. Turner 1972. */
@@ -759,15 +786,15 @@ static inline void rs_doubt(struct rigtool_sensor *s)
     int i, j = s->doubted + 1;
     s->doubted = s->doubted + 1 < RS_WAVES ? s->doubted + 1 : 0;
     for (add[j] = 1; j >= 0; j--) {
-        const rs_real whole = s->ripple_d[j] + sum * rs_square(add[j]);
+        const rs_real whole = s->known.d[j] + sum * rs_square(add[j]);
         const rs_real gain = whole > 0 ? sum * add[j] / whole : (rs_real)0; /* no such order */
         for (i = 0; i < j; i++) {
-            add[i] -= add[j] * s->ripple_u[i][j];
-            s->ripple_u[i][j] += gain * add[i];
+            add[i] -= add[j] * s->known.u[i][j];
+            s->known.u[i][j] += gain * add[i];
         }
         if (whole > 0)
-            sum *= s->ripple_d[j] / whole;
-        s->ripple_d[j] = whole;
+            sum *= s->known.d[j] / whole;
+        s->known.d[j] = whole;
     }
 }
 
@@ -775,16 +802,16 @@ static inline void rs_doubt(struct rigtool_sensor *s)
 static inline rs_real rs_by_ripple(struct rigtool_sensor *s, rs_real touching)
 {
     const struct rs_model *m = &rs_model;
-    rs_real error = s->row[0] - s->ripples[0], variance = m->row_noise, likely, sum;
+    rs_real error = s->row[0] - s->known.mean[0], variance = m->row_noise, likely, sum;
     rs_real by[RS_PARTS], part[RS_PARTS], column[RS_PARTS];
     int i, j;
     for (j = 0; j < RS_PARTS; j++) {
         by[j] = j ? s->row[j] : (rs_real)1;
         if (j)
-            error -= s->row[j] * s->ripples[j];
+            error -= s->row[j] * s->known.mean[j];
         for (i = 0; i < j; i++)
-            by[j] += s->ripple_u[i][j] * (i ? s->row[i] : (rs_real)1);
-        part[j] = s->ripple_d[j] * by[j];
+            by[j] += s->known.u[i][j] * (i ? s->row[i] : (rs_real)1);
+        part[j] = s->known.d[j] * by[j];
         variance += part[j] * by[j];
     }
     likely = rs_weighed(&s->touched, rs_density(error, variance), touching);
@@ -797,16 +824,16 @@ static inline rs_real rs_by_ripple(struct rigtool_sensor *s, rs_real touching)
     for (j = 0; j < RS_PARTS; j++) {
         const rs_real gain = -by[j] / sum, whole = sum + part[j] * by[j];
         for (i = 0; i < j; i++) {
-            const rs_real old = s->ripple_u[i][j];
-            s->ripple_u[i][j] = old + gain * column[i];
+            const rs_real old = s->known.u[i][j];
+            s->known.u[i][j] = old + gain * column[i];
             column[i] += old * part[j];
         }
         column[j] = part[j];
-        s->ripple_d[j] *= sum / whole;
+        s->known.d[j] *= sum / whole;
         sum = whole;
     }
     for (j = 0; j < RS_PARTS; j++)
-        s->ripples[j] += column[j] * error;
+        s->known.mean[j] += column[j] * error;
     return likely;
 }
 
@@ -828,13 +855,14 @@ static inline void rs_take(struct rigtool_sensor *s)
     if (s->other < -m->row_certain)
         s->other = -m->row_certain;
     for (j = 0; j < RS_WAVES; j += 2) {
-        const rs_real *c = &m->wave_mean[j], *beta = &s->ripples[j + 1];
+        const rs_real *c = &m->wave_mean[j], *beta = &s->known.mean[j + 1];
         if (rs_square(beta[0] - c[0]) + rs_square(beta[1] - c[1])
             > m->row_largest * (m->wave_variance[j] + m->wave_variance[j + 1])) {
             rs_begin_anew(s); /* a force that repeats with the angle */
             break;
         }
     }
+    rs_take_back(s);
 }
 
 /* Go on to the end of a row. */
@@ -852,11 +880,11 @@ static inline void rs_pass_time(struct rigtool_sensor *s, int slides)
         if (!slides)
             s->level_variance[i] += m->row_reversal; /* friction may be off by a stroke's own */
     }
-    s->ripples[0] *= kept;
+    s->known.mean[0] *= kept;
     s->plain *= kept;
     for (i = 1; i < RS_PARTS; i++)
-        s->ripple_u[0][i] *= kept;
-    s->ripple_d[0] = kept * kept * s->ripple_d[0] + fresh;
+        s->known.u[0][i] *= kept;
+    s->known.d[0] = kept * kept * s->known.d[0] + fresh;
     s->plain_variance = kept * kept * s->plain_variance + fresh;
     if (slides)
         rs_doubt(s);
@@ -898,9 +926,9 @@ static inline rs_real rs_rippled(struct rigtool_sensor *s, rs_real *variance)
     for (j = 0; j < RS_WAVES; j++) {
         rs_real by = s->waves[j];
         for (i = 0; i < j; i++)
-            by += s->ripple_u[i + 1][j + 1] * s->waves[i];
-        spread += rs_square(m->torque_factor * by) * s->ripple_d[j + 1];
-        mean += m->torque_factor * s->waves[j] * s->ripples[j + 1];
+            by += s->known.u[i + 1][j + 1] * s->waves[i];
+        spread += rs_square(m->torque_factor * by) * s->known.d[j + 1];
+        mean += m->torque_factor * s->waves[j] * s->known.mean[j + 1];
     }
     *variance = weight * (spread + (1 - weight) * mean * mean);
     ripple = c[RS_ORDER] * weight * mean;
@@ -1038,9 +1066,10 @@ static inline void rs_begin(struct rigtool_sensor *s)
     s->d[RS_LOAD] = rs_square(m->load_stroke);
     s->direction = 1;
     for (i = 0; i < RS_PARTS; i++) {
-        s->ripples[i] = i ? m->wave_mean[i - 1] : 0;
-        s->ripple_d[i] = i ? m->wave_variance[i - 1] : m->row_untouched;
+        s->known.mean[i] = i ? m->wave_mean[i - 1] : 0;
+        s->known.d[i] = i ? m->wave_variance[i - 1] : m->row_untouched;
     }
+    s->before[0] = s->before[1] = s->known;
     s->plain_variance = m->row_untouched;
     s->level_variance[0] = s->level_variance[1] = m->row_contact;
     s->still_up = s->still_down = RS_STILL_STEPS;

@@ -62,6 +62,7 @@ def sensor_header(
         "SPEED_STEPS": _within(motion_states.SPEED_TIME, grid.step_time) - 1,
         "BUSY_STEPS": _lasting(model.uncertainty.busy_time, grid.step_time),
         "ROW_STEPS": power_up.row_steps(grid.step_time),
+        "LATE_ROWS": power_up.late_rows(grid.step_time),
         "ROTOR_CELLS": len(model.drive.rotor_map) - 1,
         "HOUSING_CELLS": len(plant.friction_map) - 1,
     }
@@ -183,6 +184,7 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
         "row_evidence": power_up.ROW_EVIDENCE,
         "row_certain": power_up.MAX_LOG_RATIO,
         "row_largest": power_up.LARGEST_RIPPLE_RATIO**2,
+        "row_recognised": power_up.RECOGNISED,
     }
 
 

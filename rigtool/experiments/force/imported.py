@@ -225,7 +225,7 @@ def _require_inside(measured: Sequence[Measured], model: LoadModel) -> list[str]
         where = [item for item in measured if (~item.signals.path.regular).any()]
         notes.append(
             f"{int(np.sum(wild))} samples of {len(where)} runs belong to a transient, such as "
-            "homing, and have no value"
+            "homing, or have an effort at its limit, and have no value"
         )
     return notes
 

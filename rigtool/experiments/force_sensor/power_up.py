@@ -19,8 +19,10 @@ deviate by: about zero, and drawn anew by a reversal. So the mean of the ripple 
 turn that a motion uses shows, too. Where something touches, M^ is a random walk that may leap, and
 shows no ripple. Contacts begin and end at a rate, and a row counts by the probability that nothing
 touches (probabilistic data association: Y. Bar-Shalom, E. Tse, Automatica 11(5) 451-460, 1975), so
-that a weak contact is not taken for ripple. The likelihoods of both hypotheses weigh them, by less
-than their ratio: the errors of rows that follow one another are alike. Given is
+that a weak contact is not taken for ripple. A contact that grows slowly, or begins while the ripple
+is not yet known, is recognised late, by its end at the latest: what the rows just before it added
+is then taken back. The likelihoods of both hypotheses weigh them, by less than their ratio: the
+errors of rows that follow one another are alike. Given is
 the mean of the mixture, and its variance (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with
 Applications to Tracking and Navigation, 2001, section 11.6.2, static multiple models).
 """
@@ -52,6 +54,10 @@ square root of a second, and what M may change by over a reversal and where it l
 BEGINS, ENDS, CHANGES = 0.2, 0.7, 2.0
 """Rates at which contacts begin, end, and leap or change their walk, 1/s."""
 
+RECOGNISED, LATE_TIME = 0.9, 0.5
+"""Probability of a contact from which on it is recognised; and the time, s of sliding, of which at
+least as much, and twice as much at most, is then taken back."""
+
 MIN_UNTOUCHED_PROBABILITY = 1e-6
 """Probability that nothing touches, below which a row does not count."""
 
@@ -63,7 +69,7 @@ UNCERTAIN_SHARE = 0.3
 """Part of the variance of the learned waves that counts: that of the high orders is their prior's,
 which is several times what amplifiers have."""
 
-MEMORY, FORGOTTEN = 2.0, 300.0
+MEMORY, FORGOTTEN = 2.0, 1000.0
 """Of M where nothing touches, s: about that of a stroke. And the time of sliding in which the doubt
 of the ripple grows by what it was at first: strokes pay back what others deviate by, a weak contact
 may be taken for ripple, and rows are not as independent as the equations have it."""
@@ -74,7 +80,9 @@ MAX_LOG_RATIO = 50.0
 LARGEST_RIPPLE_RATIO = 3.0
 """Largest ratio of an order's amplitude at another power-up to the learned one."""
 
-PARAMETERS = np.dtype([(name, "f8") for name in ("lag", "factor", "gain", "steps", "time", "size")])
+PARAMETERS = np.dtype(
+    [(name, "f8") for name in ("lag", "factor", "gain", "steps", "time", "size", "late")]
+)
 
 WAVE_COUNT = 2 * len(RIPPLE_ORDERS)
 
@@ -88,6 +96,10 @@ STATE = np.dtype(
         ("mean", "f8", (WAVE_COUNT + 1,)),
         ("covariance", "f8", (WAVE_COUNT + 1, WAVE_COUNT + 1)),
         ("touched", "f8"),  # the probability that something touches
+        # mean and covariance as they were, the earlier one first, and rows since the later one
+        ("means", "f8", (2, WAVE_COUNT + 1)),
+        ("covariances", "f8", (2, WAVE_COUNT + 1, WAVE_COUNT + 1)),
+        ("since", "f8"),
         # without other ripple; logarithm of the likelihoods' ratio
         ("plain", "f8"),
         ("plain_variance", "f8"),
@@ -120,8 +132,9 @@ class PowerUp:
         factor = model.plant(step_time).torque_factor
         steps = row_steps(step_time)
         lag = 1 - math.exp(-step_time / model.learned.shape.ripple_time)
+        time, late = steps * step_time, late_rows(step_time)
         self._parameters = np.array(
-            [(lag, factor, gain, steps, steps * step_time, factor * size)], dtype=PARAMETERS
+            [(lag, factor, gain, steps, time, factor * size, late)], dtype=PARAMETERS
         )
         self._state = np.zeros(1, dtype=STATE)
         self._state["mean"][0, :-1] = -own
@@ -129,6 +142,8 @@ class PowerUp:
         self._state["drawn"][0] = drawn
         variances = np.append(drawn, (factor * size) ** 2)
         self._state["covariance"][0] = np.diag(variances)
+        self._state["means"][0] = self._state["mean"]
+        self._state["covariances"][0] = self._state["covariance"]
         self._state["plain_variance"] = variances[-1]
         self._state["level_variance"] = (CONTACT * factor * size) ** 2
         self._low_pass = passed.section(corner_hz, step_time)
@@ -174,6 +189,11 @@ class PowerUp:
 def row_steps(step_time: float) -> int:
     """Return the steps of a row."""
     return max(1, round(ROW_TIME / step_time))
+
+
+def late_rows(step_time: float) -> int:
+    """Return the rows of `LATE_TIME`."""
+    return round(LATE_TIME / (row_steps(step_time) * step_time))
 
 
 def learned_ripple(model: ForceModel) -> tuple[Array, Array, float]:
@@ -268,6 +288,7 @@ def _read(s: Record, p: Record) -> None:
             if first * first + second * second > LARGEST_RIPPLE_RATIO**2 * square:
                 _begin_anew(s)
                 break
+        _take_back(s, p)
     for i in range(WAVE_COUNT + 1):
         s.row[i] = 0.0
     s.filled = s.slid = 0.0
@@ -359,6 +380,26 @@ def _by_ripple(s: Record, p: Record, touching: float) -> float:
 
 
 @compiled
+def _take_back(s: Record, p: Record) -> None:
+    """Go back to what was known before a contact that is recognised, or keep what is known now."""
+    s.since += 1.0
+    if s.touched > RECOGNISED:
+        s.means[1] = s.mean[:] = s.means[0]
+        s.covariances[1] = s.covariance[:] = s.covariances[0]
+        s.mean[WAVE_COUNT] = 0.0
+        s.covariance[WAVE_COUNT, :] = s.covariance[:, WAVE_COUNT] = 0.0
+        s.covariance[WAVE_COUNT, WAVE_COUNT] = p.size**2
+    elif s.since >= p.late:
+        s.means[0] = s.means[1]
+        s.covariances[0] = s.covariances[1]
+        s.means[1] = s.mean
+        s.covariances[1] = s.covariance
+    else:
+        return
+    s.since = 0.0
+
+
+@compiled
 def _begin_anew(s: Record) -> None:
     """Forget another power-up's ripple: what was taken for it is too large."""
     s.other = min(s.other, 0.0)
@@ -367,3 +408,5 @@ def _begin_anew(s: Record) -> None:
         for j in range(WAVE_COUNT + 1):
             s.covariance[i, j] = s.covariance[j, i] = 0.0
         s.covariance[i, i] = s.drawn[i]
+    s.means[:] = s.mean
+    s.covariances[:] = s.covariance

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,10 +13,18 @@ from rigtool.experiments.imported import place as named
 from rigtool.experiments.imported import position_of, recordings_of, require_one_rig
 from rigtool.experiments.imported_load.basis import LoadSignals, path_of
 from rigtool.experiments.torque_per_ampere import effort_of
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.runfile import Recording, Run
 
 REFERENCE_CHANNEL = "reference_torque"
 """Channel of the sensor at the load."""
+
+LIMIT_SAMPLES, LIMIT_RATIO = 10, 5
+"""An effort at a limit stays at its highest or lowest value for so many samples, and so many times
+longer than at any other value."""
+
+LIMITED_SHARE = 0.01
+"""Share of a row, behind the low-pass, from which on a limit has changed it."""
 
 
 def read_all(
@@ -48,11 +57,20 @@ def _read(recording: Recording, kt: Run | None, bandwidth_hz: float) -> LoadSign
     place = recording.read("reference_position") if has_place else output
     sensor = [recording.read(REFERENCE_CHANNEL)] if recording.has(REFERENCE_CHANNEL) else []
     try:
-        path, (values, output, place, *reference) = path_of(
-            recording.read("time"), motor, bandwidth_hz, effort.values, output, place, *sensor
+        limited = at_limit(effort.values).astype(np.float64)
+        path, (values, limited, output, place, *reference) = path_of(
+            recording.read("time"),
+            motor,
+            bandwidth_hz,
+            effort.values,
+            limited,
+            output,
+            place,
+            *sensor,
         )
     except InsufficientDataError as error:
         raise InsufficientDataError(f"{named(recording)}: {error}") from None
+    path = replace(path, regular=path.regular & (np.abs(limited) < LIMITED_SHARE))
     # As the motor's sign, so that one direction has one sign everywhere
     speed = np.gradient(output, path.time)
     sign = math.copysign(1.0, float(np.sum(speed * path.speed)))
@@ -64,3 +82,17 @@ def _read(recording: Recording, kt: Run | None, bandwidth_hz: float) -> LoadSign
         place=place,
         reference=reference[0] if reference else None,
     )
+
+
+def at_limit(effort: Array) -> Mask:
+    """Return where an effort (n,) is cut off at a limit: its highest or lowest value."""
+    first = np.flatnonzero(np.diff(effort, prepend=np.nan))
+    length, value = np.diff(first, append=len(effort)), effort[first]
+    ends = effort.max(), effort.min()
+    between = length[~np.isin(value, ends)]
+    found = np.zeros(len(effort), dtype=np.bool_)
+    for end in ends:
+        longest = length[value == end].max()
+        if between.size and longest >= max(LIMIT_SAMPLES, LIMIT_RATIO * between.max()):
+            found |= effort == end
+    return found

@@ -7,18 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from rigtool.errors import UsageError
 from rigtool.experiments.between_set_points import unsampled_note
-from rigtool.experiments.imported_load.imported import analyse_imported as analyse_imported_loads
-from rigtool.experiments.learning.implementations.a_one_speed import OneSpeed
-from rigtool.experiments.learning.implementations.b_all_speeds import AllSpeeds
-from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
-from rigtool.experiments.learning.implementations.d_known_loads import KnownLoads
-from rigtool.experiments.learning.implementations.skeleton import Implementation
-from rigtool.experiments.learning.implementations.standard_trajectory import RepeatedMove
-from rigtool.experiments.learning.imported import analyse_imported
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
 from rigtool.experiments.running.options import CommonOptions
@@ -27,31 +20,43 @@ from rigtool.recipe import Recipe
 from rigtool.rigs import Rig
 from rigtool.runfile import RecordingSpec, Run, RunWriter
 
+if TYPE_CHECKING:
+    from rigtool.experiments.learning.implementations.skeleton import Implementation
+
 COMMAND = "ilc-learn"
 
 
-IMPLEMENTATIONS: dict[str, type[Implementation[Any]]] = {
-    "A": OneSpeed,
-    "B": AllSpeeds,
-    "C": LimitedAngle,
-    "D": KnownLoads,
-    "standard": RepeatedMove,
+IMPLEMENTATIONS = {
+    "A": ("a_one_speed", "OneSpeed"),
+    "B": ("b_all_speeds", "AllSpeeds"),
+    "C": ("c_limited_angle", "LimitedAngle"),
+    "D": ("d_known_loads", "KnownLoads"),
+    "standard": ("standard_trajectory", "RepeatedMove"),
 }
-"""Ways to learn that exist, by the thesis's letter."""
+"""Ways to learn that exist, by the thesis's letter: module and class, imported when asked for."""
+
+
+def implementation_of(name: str) -> type[Implementation[Any]]:
+    """Return one of `IMPLEMENTATIONS`."""
+    module, kind = IMPLEMENTATIONS[name]
+    found: type[Implementation[Any]] = getattr(
+        import_module(f"rigtool.experiments.learning.implementations.{module}"), kind
+    )
+    return found
 
 
 def asked(options: CommonOptions, name: str | None, *, validate: bool) -> CommonOptions:
     """Return the options with the choices of the command line, which override the recipe."""
     if name is not None:
         options = options.with_override(f"ilc_learn.implementation={name}")
-        if name in IMPLEMENTATIONS and IMPLEMENTATIONS[name].BARE_MOTOR:
+        if name in IMPLEMENTATIONS and implementation_of(name).BARE_MOTOR:
             options = replace(options, overrides=("rig.attachment=pulley", *options.overrides))
     return options.with_override("ilc_learn.validation=true") if validate else options
 
 
 def _implementation(recipe: Recipe) -> type[Implementation[Any]]:
     name = recipe.ilc_learn.implementation
-    implementation = IMPLEMENTATIONS[name]
+    implementation = implementation_of(name)
     if implementation.BARE_MOTOR and recipe.rig.attachment != "pulley":
         raise UsageError(
             f"implementation {name} turns the shaft continuously, which the "
@@ -104,13 +109,25 @@ def analyse(
     )
 
 
+def _analyse_imported(runs: Sequence[Run], **inputs: Any) -> Outcome:
+    from rigtool.experiments.learning.imported import analyse_imported
+
+    return analyse_imported(runs, **inputs)
+
+
+def _analyse_imported_loads(runs: Sequence[Run], **inputs: Any) -> Outcome:
+    from rigtool.experiments.imported_load.imported import analyse_imported
+
+    return analyse_imported(runs, **inputs)
+
+
 PROCEDURE = Procedure(
     COMMAND,
     recordings,
     measure,
     analyse,
     needed=("kt",),
-    analyse_imported=analyse_imported,
+    analyse_imported=_analyse_imported,
     rig_needs=rig_needs,
     analysis_settings=(
         "ilc_learn.robustness_hz",
@@ -135,7 +152,7 @@ def _analyse_by_load(runs: Sequence[Run], recipe: Recipe, **inputs: Run | None) 
 BY_LOAD = replace(
     PROCEDURE,
     analyse=_analyse_by_load,
-    analyse_imported=analyse_imported_loads,
+    analyse_imported=_analyse_imported_loads,
     imported_settings={"measure_force.lowpass_hz": "bandwidth_hz"},
 )
 """Implementation D, of imported runs as well: they hold no recipe that names an implementation."""

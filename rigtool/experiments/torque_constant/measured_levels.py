@@ -1,4 +1,12 @@
-"""Plateaus of a measured current, where no set point states them."""
+"""Plateaus of a measured current, where no set point states them.
+
+The current stays within a band as wide as its noise, or leaves it, by its second differences d2:
+
+    noise = std(d2) / sqrt(6).
+
+The step from level a to level b is after the
+sample k that leaves the smallest sum of (i_j - a)2 up to k and of (i_j - b)2 behind it.
+"""
 
 from __future__ import annotations
 

@@ -18,13 +18,21 @@ def outcome_of(
     nominal: float | None,
     current_reading_relative_u: float,
     reference_range_degc: tuple[float, float],
+    setpoint_known: bool = True,
+    temperature_known: bool = True,
 ) -> Outcome:
-    """Return the outcome of a calibration; `nominal` N m/A is the data sheet's constant."""
-    return Outcome(
-        _results(found, current_reading_relative_u),
-        _tables(found),
-        _notes(found, nominal, reference_range_degc),
-    )
+    """Return the outcome of a calibration; `nominal` N m/A is the data sheet's constant.
+
+    What set point or temperature would show is left out where that was not recorded.
+    """
+    results, tables = _results(found, current_reading_relative_u), _tables(found)
+    if not setpoint_known:
+        results = {k: q for k, q in results.items() if not k.startswith("amplifier_")}
+        del tables["linearity"]
+    if not temperature_known:
+        del tables["torque_constant"]
+    notes = _notes(found, nominal, reference_range_degc, temperature_known=temperature_known)
+    return Outcome(results, tables, notes)
 
 
 def _results(found: Calibration, reading_relative_u: float) -> dict[str, Quantity]:
@@ -93,7 +101,11 @@ def _tables(found: Calibration) -> dict[str, Table]:
 
 
 def _notes(
-    found: Calibration, nominal: float | None, range_degc: tuple[float, float]
+    found: Calibration,
+    nominal: float | None,
+    range_degc: tuple[float, float],
+    *,
+    temperature_known: bool,
 ) -> tuple[str, ...]:
     notes = []
     ratio = 1.0 if nominal is None else found.mean.value / nominal
@@ -110,7 +122,11 @@ def _notes(
         f"heat in the winding lowered the torque constant by {slopes.heating * 100:.2g} % within "
         f"the staircases (time constant {slopes.time_constant:.2g} s); corrected"
     )
-    if found.coefficient is None:
+    if not temperature_known:
+        notes.append(
+            "the temperature was not recorded: no temperature coefficient, and no value at 20 degC"
+        )
+    elif found.coefficient is None:
         notes.append(
             f"all staircases are within {SAME_TEMPERATURE:g} K of {found.temperature[0]:.4g} degC: "
             "no temperature coefficient and no value at 20 degC; torque_constant_mean holds there "

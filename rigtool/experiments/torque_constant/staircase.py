@@ -85,7 +85,7 @@ def plateaus_of_set_point(
     span = float(np.ptp(setpoint))
     if span == 0:
         raise InsufficientDataError(
-            f"the current set point is {setpoint[0]:g} A throughout: a staircase is needed"
+            f"the current set point is {setpoint[0] + 0.0:g} A throughout: a staircase is needed"
         )
     tolerance = LEVEL_TOLERANCE * span
     new_staircase = (np.diff(t) > 10 * sample + 0.5 * settle_time) | (np.abs(np.diff(angle)) > 0.01)

@@ -160,13 +160,28 @@ def test_a_force_that_repeats_with_the_angle_is_no_ripple(stiffness):
     assert np.abs(found).max() < 1.5 * largest
 
 
+def ramps(time, largest, every):
+    """Return a torque that grows to its largest in the last 3 s of each period."""
+    return largest * np.maximum(time % every - (every - 3.0), 0.0) / 3.0
+
+
 @pytest.mark.parametrize("largest", [2.5e-3, 4e-3, 9e-3])
 def test_weak_contacts_that_grow_slowly_are_no_ripple(largest):
     time, angle, states = motion()
-    grows = np.maximum(time % 5.0 - 2.0, 0.0) / 3.0
-    states[:, TORQUE] = largest * grows + noise(time, states)
-    power_up = PowerUp(model(), STEP, BANDWIDTH)
-    found, variance, _ = power_up.add(angle, states)
-    assert power_up.probability < 0.01
+    states[:, TORQUE] = ramps(time, largest, 10.0) + noise(time, states)
+    found, variance, _ = PowerUp(model(), STEP, BANDWIDTH).add(angle, states)
     assert np.sqrt(np.mean(found**2)) < 0.5 * STROKE
     assert np.mean(np.abs(found) < 1.96 * np.sqrt(variance)) > 0.95
+
+
+def test_a_contact_that_is_recognised_by_its_end_leaves_nothing_in_the_ripple():
+    time, angle, states = motion()
+    added = ripple(OTHER, angle) - ripple(LEARNED, angle)
+    states[:, TORQUE] = ramps(time, 4e-3, 8.0) + noise(time, states) + added
+    power_up = PowerUp(model(), STEP, BANDWIDTH)
+    found, variance, _ = power_up.add(angle, states)
+    assert power_up.probability > 0.99
+    assert np.mean(np.abs(found - added) < 1.96 * np.sqrt(variance)) > 0.95
+    whole, left, _ = power_up.whole(angle, states[:, TORQUE])
+    assert np.sqrt(np.mean((whole - added) ** 2)) < 0.6 * STROKE
+    assert np.mean(np.abs(whole - added) < 1.96 * np.sqrt(left)) > 0.95

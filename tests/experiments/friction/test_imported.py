@@ -255,7 +255,7 @@ def test_holds_in_which_the_shaft_starts_and_stops_are_left_out_as_at_the_bench(
     arrays["f"] += slow * np.sign(np.sin(2 * np.pi * 40 * arrays["t"]))
     text = HELD.replace('"rpm"', '"rad/s"')
     known = text.replace('"held"', '"held"\ninertia = 2e-6')
-    cases = (("a", text, "inertia or torque is not known"), ("b", known, "instead of turning"))
+    cases = (("a", text, "inertia or torque is not known"), ("b", known, "starts and stops"))
     for name, mapping, said in cases:
         (tmp_path / name).mkdir()
         outcome = analyse(take(tmp_path / name, mapping, {"a": arrays}), tmp_path / "f.h5")

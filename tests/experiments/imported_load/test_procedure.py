@@ -2,15 +2,19 @@
 
 import io
 import json
+import math
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from rigtool.cli import main
 from rigtool.experiments.force_filter.motion_states import State
+from rigtool.experiments.imported_load.imported_signals import at_limit
 from rigtool.experiments.imported_load.stored import load_model_from
 from rigtool.recipe.mapping import parse_mapping
 from rigtool.runfile import open_run
@@ -45,8 +49,10 @@ def rigtool(*arguments):
     return Ran(int(end.value.code or 0), stdout.getvalue(), stderr.getvalue())
 
 
-def instrument(folder, loads, mapping=MAPPING + SENSOR, **more):
-    """Import recordings of a synthetic drive at some loads and two speeds; return the paths."""
+def instrument(folder, loads, mapping=MAPPING + SENSOR, limit=math.inf, **more):
+    """Import recordings of a synthetic drive at some loads and two speeds; return the paths.
+
+    Its amplifier gives `limit` A at most."""
     (folder / "raw").mkdir(parents=True)
     for level, load in enumerate(loads):
         for speed, frequency in enumerate((0.15, 0.3)):
@@ -54,6 +60,7 @@ def instrument(folder, loads, mapping=MAPPING + SENSOR, **more):
                 load, frequency, seed=10 * level + speed, **more
             )
             counts = np.round(position * 4000 / (2 * np.pi))
+            effort = np.clip(effort, -limit, limit)
             np.savez(folder / "raw" / f"{speed}{level}.npz", t=time, q=counts, i=effort, r=torque)
     import_files([str(folder / "raw")], str(folder / "runs"), (parse_mapping(mapping), mapping))
     return sorted((folder / "runs").glob("*.h5"))
@@ -280,6 +287,29 @@ def test_loads_outside_what_was_learned_have_no_value(learned, tmp_path):
         assert np.isnan(force["torque"][closing]).all()
         assert (force["state"][closing] == State.OUTSIDE).all()
         assert share == pytest.approx(np.mean(np.isfinite(force["torque"])))
+
+
+def test_a_current_at_its_limit_has_no_value(learned, tmp_path):
+    runs = instrument(tmp_path, (0.05,), limit=0.115)
+    found = rigtool("measure-force", *runs, "--tables", learned, "-o", tmp_path / "f.h5", "--json")
+    assert found.exit_code == 0, found.stderr
+    assert "have an effort at its limit" in found.stdout
+    results = json.loads(found.stdout)["results"]
+    assert 0.2 < results["valid_share"]["value"] < 0.9
+    assert results["coverage_95"]["value"] > 0.9
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 1000), st.floats(-1.0, 2.0), st.floats(0.0, 1.0))
+def test_where_an_effort_is_cut_off_is_found(seed, high, noise):
+    random = np.random.default_rng(seed)
+    effort = np.sin(np.arange(2000) / 100) + random.normal(0, 1e-3 + 0.1 * noise, 2000)
+    cut = np.minimum(effort, high * 0.8)
+    most = np.diff(np.flatnonzero(np.diff(cut, prepend=np.nan, append=np.nan) != 0)).max()
+    expected = effort >= high * 0.8 if most >= 10 else np.zeros(2000, dtype=bool)
+    np.testing.assert_array_equal(at_limit(cut), expected)
+    assert not at_limit(np.round(effort, 1)).any()
+    assert not at_limit(np.full(50, 0.3)).any()
 
 
 def test_where_everything_is_outside_nothing_is_written(learned, tmp_path):

@@ -108,3 +108,25 @@ def test_repeated_staircases_of_a_turning_shaft_are_not_those_of_a_bench(tmp_pat
     outcome = calibrate(paths, tmp_path / "kt.h5")
     assert "the shaft turns" in " ".join(outcome.notes)
     assert "calibration_points" in outcome.tables
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_staircases_without_temperature_state_none(tmp_path, sign):
+    """Of either sign; a set point that does not move is left aside."""
+    current = np.repeat([0, 1, 2, 3, 4, 3, 2, 1, 0], 40) * sign
+    files = {}
+    for name, seed in (("a", 1), ("b", 2)):
+        random = np.random.default_rng(seed)
+        force = current * 0.1 + random.normal(0, 4e-4, len(current))
+        read = current + random.normal(0, 2e-3, len(current))
+        files[name] = {"t": np.arange(len(current)) * 0.05, "i": read, "f": force, "s": 0 * read}
+    text = "\n".join(line for line in TEXT.splitlines() if "degC" not in line)
+    text += '\ncurrent_setpoint = { column = "s", unit = "A" }\n'
+    outcome = calibrate(take(tmp_path, text, files), tmp_path / "kt.h5")
+    found = outcome.results["torque_constant_mean"]
+    assert abs(found.value - 0.05) < 2.5 * found.u
+    assert found.u < 0.02 * found.value
+    assert set(outcome.tables) == {"hysteresis"}
+    notes = " ".join(outcome.notes)
+    assert "temperature was not recorded" in notes
+    assert "by their set point: the current set point is 0 A throughout" in notes
