@@ -101,13 +101,6 @@ def instrument_of(
     )
 
 
-def instrument_for(
-    recording: Recording, recipe: Recipe, kt: Run, model: ForceModel, reach: Reach
-) -> SensorProperties:
-    """Return the sensor's properties of this rig, for the samples of a recording."""
-    return instrument_of(recipe, kt, model, reach, _interval(recording, recipe))
-
-
 def read_recording(
     recording: Recording,
     recipe: Recipe,
@@ -118,9 +111,9 @@ def read_recording(
     """Return the torque over a recording, and contacts, by stretches without gaps."""
     if recording.size < 2:
         return Recorded(recording.name, (), 0, 0.0)
-    instrument = instrument_for(recording, recipe, kt, model, reach)
-    interval = instrument.interval
+    interval = _interval(recording, recipe)
     require_interval(interval, recording.name)
+    instrument = instrument_of(recipe, kt, model, reach, interval)
     parts: list[TorqueRows] = []
     breaks, read, done = -1, 0.0, 0
     with ThreadPoolExecutor(2) as workers:

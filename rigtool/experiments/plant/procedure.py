@@ -30,6 +30,7 @@ from rigtool.experiments.plant.results import IdentifiedPlant, plant_outcome
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.numerics.arrays import Array
+from rigtool.numerics.checks import rising_steps
 from rigtool.quantity import Quantity, combined, error_line
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig
@@ -125,6 +126,7 @@ def _experiments(recording: Recording, recipe: Recipe, torque_constant: float) -
     """Cut whole periods in steady state out of a recording: one experiment a direction."""
     asked, setpoint = recording.read("current_setpoint"), recording.read("position_setpoint")
     with naming(recording):
+        rising_steps(recording.read("time"))
         remedy = "lower identify_plant.current_share or swing"
         require_unlimited(float(np.abs(asked).max(initial=0.0)), recipe, remedy)
     angle = recording.read("encoder") * (2 * math.pi / recipe.rig.encoder_counts)

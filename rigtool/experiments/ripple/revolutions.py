@@ -38,7 +38,8 @@ class Revolutions:
     def add(self, time: Array, turns: Array, torque: Array) -> None:
         """Take the next samples: time (n,) in s, the rotor's angle in turns, torque.
 
-        Raises `InsufficientDataError` where time does not rise.
+        Raises `InsufficientDataError` where time does not rise, or the rotor turns more than once
+        from sample to sample.
         """
         if not time.size:
             return
@@ -64,6 +65,11 @@ class Revolutions:
 
         Torque goes straight from sample to sample; `areas` are twice the integrals between them.
         """
+        if (way := float(advance[-1] - advance[0])) > areas.size:  # edges would fill the memory
+            raise InsufficientDataError(
+                f"the rotor turns {way:.3g} times in {areas.size} samples, more than once from one "
+                "to the next: its encoder leaps, or its counts are wrong; record it again"
+            )
         stop = math.floor(advance[-1] * self._positions) + 1
         edges = np.arange(self._next_edge, stop) / self._positions
         edges = edges[edges <= advance[-1]]

@@ -129,10 +129,11 @@ def without_noise(values: Array, noise: float) -> tuple[Array, float]:
     ratio = min(rows, columns) / max(rows, columns)
     root = ratio + 1 + math.sqrt(ratio**2 + 14 * ratio + 1)
     limit = math.sqrt(2 * (ratio + 1) + 8 * ratio / root) * math.sqrt(max(rows, columns)) * noise
-    left, size, right = np.linalg.svd(values, full_matrices=False)
-    kept = size > limit
+    # LAPACK's singular values do not converge on some rounded courses; eigenvalues do.
+    square, right = np.linalg.eigh(values.T @ values)
+    kept = square > limit**2
     part = kept.sum() * (rows + columns) / (rows * columns)
-    return (left * (size * kept)) @ right, noise * math.sqrt(min(float(part), 1.0))
+    return (values @ right[:, kept]) @ right[:, kept].T, noise * math.sqrt(min(float(part), 1.0))
 
 
 def longest_lag(courses: Courses) -> float | None:

@@ -20,6 +20,7 @@ from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.quantity import Quantity
 from rigtool.recipe import load_recipe, override_recipe
 from rigtool.runfile import RunWriter, open_run
+from rigtool.runfile.recording import Recording
 from tests.experiments.virtual_runs import RECIPE, run, write_results
 from tests.thorough import first_of
 
@@ -286,6 +287,19 @@ def test_other_settings_than_recorded_are_refused(pulley, kt, override, message)
         recipe = override_recipe(stored.recipe, [override])
         with pytest.raises(InsufficientDataError, match=message):
             identify_plant.analyse([stored], recipe, kt=constant)
+
+
+def test_a_time_that_stands_is_refused(pulley, kt, monkeypatch):
+    read = Recording.read
+
+    def standing(self, channel, *samples):
+        found = read(self, channel, *samples)
+        return np.minimum(found, found[len(found) // 2]) if channel == "time" else found
+
+    monkeypatch.setattr(Recording, "read", standing)
+    refused = pytest.raises(InsufficientDataError, match="time does not rise at sample")
+    with open_run(pulley[0]) as stored, open_run(kt) as constant, refused:
+        identify_plant.analyse([stored], stored.recipe, kt=constant)
 
 
 def test_another_commands_run_is_refused(pulley, folder, kt):

@@ -308,3 +308,10 @@ def test_a_psd_without_a_whole_segment_is_refused():
     collected.add(np.ones(63))
     with pytest.raises(InsufficientDataError, match="63 samples are too few, 64 are needed"):
         collected.spectrum(1.0)
+
+
+def test_an_encoder_that_leaps_fills_no_memory():
+    collected, time = Revolutions(50, forward=True), np.arange(100.0)
+    turns = np.where(time < 50, 0.01 * time, 1e24)
+    with pytest.raises(InsufficientDataError, match=r"1e\+24 times in 99 samples.*encoder leaps"):
+        collected.add(time, turns, np.ones(100))
