@@ -193,12 +193,12 @@ real-data: | $(INSTALLED) $(BUILD)
 	$(RIGTOOL) report $(BUILD)/$(TOOL)-force-5.h5 $(BUILD)/$(TOOL)-force-50.h5 \
 		-o $(BUILD)/$(TOOL)-report --overwrite
 
-# Beside the types, a process makes the byte code and machine code that both workers then find.
+# Beside the types, a process makes the byte code and machine code that all workers then find.
 test: $(INSTALLED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy & $(BIN)/pytest -q -m compiles > /dev/null 2>&1; wait $$!
-	$(BIN)/pytest -n 2 --dist worksteal
+	$(BIN)/pytest -n 3 --dist worksteal
 
 test-lowest:
 	$(PYTHON) -m venv .venv-lowest
@@ -209,7 +209,7 @@ test-lowest:
 
 attack: $(INSTALLED)
 	$(BIN)/python -m tests.attack --seconds $(SECONDS) --seed $(SEED)
-	$(BIN)/pytest -n 2 --dist worksteal -m "hypothesis or thorough" --hypothesis-profile luck
+	$(BIN)/pytest -n 3 --dist worksteal -m "hypothesis or thorough" --hypothesis-profile luck
 
 docs: $(INSTALLED)
 	$(BIN)/python -m sphinx -b html -W --keep-going -n -q docs $(BUILD)/docs
