@@ -136,6 +136,7 @@ def instrument_of(
         model,
         reach,
         rig.sample_time,
+        rig.sample_time,
         count,
         torque_constant,
         rig.current_limit,

@@ -175,16 +175,18 @@ def _input(own: LoopSignals, under: LoadCase, model: ForceModel) -> Signals:
     """Return the filter's input from a recording."""
     constant = np.full(len(own.encoder), under.torque_constant)
     known = np.array([own.encoder, own.total, constant])
-    return Sampler(FilterSteps.of(_interval(own)), under.count, model.drive).add(known, last=True)[
-        0
-    ]
+    return Sampler(_grid(own, under), under.count, model.drive).add(known, last=True)[0]
+
+
+def _grid(own: LoopSignals, under: LoadCase) -> FilterSteps:
+    return FilterSteps.of(_interval(own), 2 * under.lead)
 
 
 def _trial(recording: Recording, recipe: Recipe, kt: Run, model: ForceModel, slow: float) -> Trial:
     """Return the tests for contacts along a recording in which nothing touches; a sliding rotor
     creeps below `slow` rad/s."""
     own, under = _known(recording, recipe, kt)
-    grid, corner_hz = FilterSteps.of(_interval(own)), recipe.measure_force.motion.corner_hz
+    grid, corner_hz = _grid(own, under), recipe.measure_force.motion.corner_hz
     signals, plant = _input(own, under, model), model.plant(grid.sample_time)
     causal, untouched = (
         Filter(plant, u, grid.step_samples, corner_hz).add(signals)
@@ -205,7 +207,7 @@ def _errors(
     What acts is a hanging load that swings on its tendon: F r sin a + J a''.
     """
     own, under = _known(recording, recipe, kt)
-    grid, corner_hz = FilterSteps.of(_interval(own)), recipe.measure_force.motion.corner_hz
+    grid, corner_hz = _grid(own, under), recipe.measure_force.motion.corner_hz
     signals = _input(own, under, model)
     filtered = model.plant(grid.sample_time), model.uncertainty, grid.step_samples, corner_hz
     causal = Filter(*filtered).add(signals)

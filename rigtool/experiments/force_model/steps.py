@@ -37,13 +37,15 @@ CONTEXT_SAMPLES = 4096
 class FilterSteps:
     """Samples of the filter in recorded ones: means of `averaged`, or `divided` into parts.
 
-    `sample_time` s is the filter's; `step_samples` of its samples are a step.
+    `sample_time` s is the filter's; `step_samples` of its samples are a step. The encoder of a
+    recorded sample is read `lead` recorded samples before the time that it stands for.
     """
 
     averaged: int
     divided: int
     sample_time: float
     step_samples: int
+    lead: float
 
     @property
     def step_time(self) -> float:
@@ -51,12 +53,14 @@ class FilterSteps:
         return self.step_samples * self.sample_time
 
     @classmethod
-    def of(cls, interval: float) -> FilterSteps:
-        """Return the grid for samples that were recorded every `interval` s."""
+    def of(cls, interval: float, loop_time: float) -> FilterSteps:
+        """Return the grid for samples that were recorded every `interval` s by a loop that reads
+        the encoder at the begin of each sample of `loop_time` s."""
         averaged = max(1, int(SAMPLE_TIME / interval * (1 + 1e-6)))
         divided = max(1, int(np.ceil(interval / SAMPLE_TIME * (1 - 1e-6))))
         sample_time = interval * averaged / divided
-        return cls(averaged, divided, sample_time, max(1, round(STEP_TIME / sample_time)))
+        steps = max(1, round(STEP_TIME / sample_time))
+        return cls(averaged, divided, sample_time, steps, loop_time / interval / 2)
 
     def means(self, signal: Array) -> Array:
         """Return a recorded signal (n,) at the samples of the filter (k,)."""
@@ -76,7 +80,8 @@ class FilterSteps:
             return encoder[self.averaged // 2 : size : self.averaged].copy()
         place = np.arange(0.5, size * self.divided // self.averaged)
         place *= self.averaged / self.divided
-        sample = place.astype(np.intp)
+        place = np.minimum(place + self.lead, len(encoder))
+        sample = np.minimum(place.astype(np.intp), len(encoder) - 1)
         counts: Array = np.floor(interpolated(encoder, place))
         step = np.abs(np.diff(encoder, prepend=encoder[0], append=encoder[-1]))
         slow = whole & (np.maximum(step[:-1], step[1:]) <= 1)  # not a mean of several counts

@@ -94,6 +94,7 @@ def instrument_of(
         model,
         reach,
         interval,
+        rig.sample_time,
         count,
         (cold, slope),
         rig.current_limit,

@@ -31,14 +31,15 @@ AT_THE_LIMIT = 0.999
 class SensorProperties:
     """Properties that a sensor needs besides signals.
 
-    `interval` s is from one recorded sample to the next, `count` rad that of the encoder,
-    `torque_constant` N m/A at 0 degC and its change per kelvin, `current_limit` in A;
-    `corner_hz` is that of the low-pass.
+    `interval` s is from one recorded sample to the next, `loop_time` s from one of the loop to the
+    next, `count` rad that of the encoder, `torque_constant` N m/A at 0 degC and its change per
+    kelvin, `current_limit` in A; `corner_hz` is that of the low-pass.
     """
 
     model: ForceModel
     reach: Reach
     interval: float
+    loop_time: float
     count: float
     torque_constant: tuple[float, float]
     current_limit: float
@@ -47,7 +48,7 @@ class SensorProperties:
     @property
     def grid(self) -> FilterSteps:
         """Samples and steps of the filter."""
-        return FilterSteps.of(self.interval)
+        return FilterSteps.of(self.interval, self.loop_time)
 
     def limited(self, current: Array) -> NDArray[np.bool_]:
         """Return where a current (n,) A is at its limit."""

@@ -76,7 +76,7 @@ class Model:
 
 def instrument(**changed):
     """Return the instrument of these tests, with some of its properties changed."""
-    own = SensorProperties(Model(), REACH, INTERVAL, WIDTH, CONSTANT, 2.0, 10.0)
+    own = SensorProperties(Model(), REACH, INTERVAL, INTERVAL, WIDTH, CONSTANT, 2.0, 10.0)
     return replace(own, **changed)
 
 

@@ -18,7 +18,7 @@ from rigtool.experiments.force_model.steps import (
 
 @given(st.floats(1e-5, 4e-3))
 def test_the_filter_keeps_its_pace_at_any_rate_of_recording(interval):
-    grid = FilterSteps.of(interval)
+    grid = FilterSteps.of(interval, interval)
     assert grid.sample_time <= SAMPLE_TIME * (1 + 1e-5)
     assert grid.averaged == 1 or grid.divided == 1
     span = grid.step_samples * grid.sample_time
@@ -27,7 +27,7 @@ def test_the_filter_keeps_its_pace_at_any_rate_of_recording(interval):
 
 @pytest.mark.parametrize(("interval", "expected"), [(125e-6, (4, 1, 2)), (2e-3, (1, 4, 2))])
 def test_grids_of_the_rates_in_use(interval, expected):
-    grid = FilterSteps.of(interval)
+    grid = FilterSteps.of(interval, interval)
     assert (grid.averaged, grid.divided, grid.step_samples) == expected
 
 
@@ -38,7 +38,7 @@ def test_counts_come_back_from_means(averaged):
     angle = 40 * np.sin(2 * np.pi * 0.4 * time)  # counts, up to 100 counts/s
     exact = np.floor(angle)
     encoder = exact.reshape(-1, averaged).mean(axis=1)
-    grid = FilterSteps.of(averaged * dt)
+    grid = FilterSteps.of(averaged * dt, dt)
     found = grid.counts(encoder)
     middle = (np.arange(len(found)) + 0.5) * grid.sample_time / dt
     truth = exact[np.round(middle).astype(int)]
@@ -46,8 +46,21 @@ def test_counts_come_back_from_means(averaged):
     assert np.mean(found != truth) < 0.02
 
 
+@pytest.mark.parametrize("averaged", [1, 2, 16])
+@pytest.mark.parametrize("speed", [-2718.3, 403.7, 4669.2])
+def test_angles_belong_to_the_middle_of_a_sample_of_a_slow_loop(averaged, speed):
+    """The loop reads the encoder at the begin of its samples, of 1 ms."""
+    dt = 1e-3
+    encoder = np.floor(speed * np.arange(1600) * dt).reshape(-1, averaged).mean(axis=1)
+    grid = FilterSteps.of(averaged * dt, dt)
+    truth = speed * (np.arange(1600 * grid.divided // averaged) + 0.5) * grid.sample_time
+    late = (grid.counts(encoder) + 0.5 - truth)[100:-100]
+    assert abs(late.mean()) < 0.1
+    assert np.abs(late).max() <= 1
+
+
 def test_means_keep_the_sum_of_what_they_average():
-    grid = FilterSteps.of(250e-6)
+    grid = FilterSteps.of(250e-6, 125e-6)
     np.testing.assert_allclose(grid.means(np.array([1.0, 3.0, 5.0, 9.0, 7.0])), [2.0, 7.0], rtol=0)
 
 
@@ -77,7 +90,7 @@ def test_blocks_give_the_same_samples_as_a_whole_recording(averaged):
     samples = np.stack([encoder, rng.standard_normal(4000), np.full(4000, 0.05), np.arange(4000.0)])
 
     def sampled(*edges):
-        sampler = Sampler(FilterSteps.of(dt), 0.1, Plain(), context=256)
+        sampler = Sampler(FilterSteps.of(dt, 125e-6), 0.1, Plain(), context=256)
         cuts = pairwise([0, *edges, 4000])
         found = [sampler.add(samples[:, a:b], last=b == 4000) for a, b in cuts]
         return [
