@@ -149,9 +149,21 @@ def learn_force(
         # as far as the known loads are off, so is all that is read in terms of them
         found[..., 1] = np.hypot(found[..., 1], rig.loads_relative_u)
         model = replace(model, scales=found)
-    unloaded = [r for r in strokes if (r.condition("speed"), r.condition("force")) == (slowest, 0)]
-    tried = [_trial(r, recipe, kt, model, creeping) for r in (explored, *unloaded)]
+    slow, faster = untouched_motions(strokes, moves)
+    free = [_known(r, recipe, kt) for r in (explored, *slow)]
+    free += [(_signals(r, recipe), _condition(recipe, kt, warm, 0.0)) for r in faster]
+    tried = [_trial(*one, recipe, model, creeping) for one in free]
     return LearnedForce(replace(model, limits=thresholds(tried)), sliding, loaded, scatter)
+
+
+def untouched_motions(
+    strokes: Sequence[Recording], moves: Sequence[Recording]
+) -> tuple[list[Recording], list[Recording]]:
+    """Return the strokes without load at the slowest speed, and the moves that are faster: an error
+    that looks like a contact may show at some speeds alone."""
+    slowest = min(r.condition("speed") for r in strokes)
+    slow = [r for r in strokes if (r.condition("speed"), r.condition("force")) == (slowest, 0)]
+    return slow, [r for r in moves if r.condition("speed") > slowest]
 
 
 def _compared(strokes: Sequence[Recording]) -> list[Recording]:
@@ -182,10 +194,11 @@ def _grid(own: LoopSignals, under: LoadCase) -> FilterSteps:
     return FilterSteps.of(_interval(own), 2 * under.lead)
 
 
-def _trial(recording: Recording, recipe: Recipe, kt: Run, model: ForceModel, slow: float) -> Trial:
-    """Return the tests for contacts along a recording in which nothing touches; a sliding rotor
+def _trial(
+    own: LoopSignals, under: LoadCase, recipe: Recipe, model: ForceModel, slow: float
+) -> Trial:
+    """Return the tests for contacts along a motion in which nothing touches; a sliding rotor
     creeps below `slow` rad/s."""
-    own, under = _known(recording, recipe, kt)
     grid, corner_hz = _grid(own, under), recipe.measure_force.motion.corner_hz
     signals, plant = _input(own, under, model), model.plant(grid.sample_time)
     causal, untouched = (

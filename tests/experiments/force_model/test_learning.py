@@ -24,7 +24,7 @@ from rigtool.experiments.force_model.learning import (
     stepped_shape,
 )
 from rigtool.experiments.force_model.model import Kind, Known
-from rigtool.experiments.force_model.procedure_learning import LearnedForce
+from rigtool.experiments.force_model.procedure_learning import LearnedForce, untouched_motions
 from rigtool.experiments.force_model.records import ROWS_HZ
 from rigtool.experiments.learning.implementations.d_tendon import swing_notes, tendon_results
 from rigtool.recipe import load_recipe
@@ -267,3 +267,16 @@ def test_too_slow_strokes_are_refused():
 def test_loads_alone_are_refused():
     with pytest.raises(InsufficientDataError, match="without load"):
         learn_sliding([strokes(10e-3, 2.0)], KNOWN, plant.COUNT, CALM)
+
+
+class Motion:
+    def __init__(self, name, **conditions):
+        self.name, self.condition = name, conditions.__getitem__
+
+
+def test_contacts_are_told_from_errors_at_every_learned_speed():
+    strokes = [Motion(f"{v} {f}", speed=v, force=f) for v in (2.0, 4.0) for f in (0.0, 1.0)]
+    moves = [Motion(str(v), speed=v) for v in (1.0, 2.0, 4.0, 8.0)]
+    slow, faster = untouched_motions(strokes, moves)
+    assert [motion.name for motion in slow] == ["2.0 0.0"]
+    assert [motion.name for motion in faster] == ["4.0", "8.0"]
