@@ -179,7 +179,7 @@ def test_what_a_killed_process_left_is_removed_and_nothing_else(tmp_path, monkey
     alive.touch()
     other = tmp_path / ".rigtool-notes"
     other.touch()
-    # In a container, on a disk of both, that process may run: its name tells.
+    # In a container, on a disk of both, that process may run: its name shows it.
     here = outputs._computer()
     monkeypatch.setattr(os, "readlink", lambda path: "pid:[4026532000]")
     elsewhere = tmp_path / left.name.replace(here, outputs._computer())
