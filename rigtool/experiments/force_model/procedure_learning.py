@@ -153,7 +153,9 @@ def learn_force(
     free = [_known(r, recipe, kt) for r in (explored, *slow)]
     free += [(_signals(r, recipe), _condition(recipe, kt, warm, 0.0)) for r in faster]
     tried = [_trial(*one, recipe, model, creeping) for one in free]
-    return LearnedForce(replace(model, limits=thresholds(tried)), sliding, loaded, scatter)
+    # Faster motion with smaller errors must not lower the thresholds of slow motion
+    limits = np.maximum(thresholds(tried), thresholds(tried[: 1 + len(slow)]))
+    return LearnedForce(replace(model, limits=limits), sliding, loaded, scatter)
 
 
 def untouched_motions(
