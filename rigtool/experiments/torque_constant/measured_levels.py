@@ -4,8 +4,8 @@ The current stays within a band as wide as its noise, or leaves it, by its secon
 
     noise = std(d2) / sqrt(6).
 
-The step from level a to level b is after the sample k that leaves the smallest sum of (i_j - a)2 up to k and of
-(i_j - b)2 behind it.
+The step from level a to level b is after the sample k that leaves the smallest sum of (i_j - a)2
+up to k and of (i_j - b)2 behind it.
 """
 
 from __future__ import annotations

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rigtool.control.position_loop import controller_sections
 from rigtool.errors import RecipeError
 from rigtool.numerics.arrays import Array
+from rigtool.quantity import STANDARD_GRAVITY
 from rigtool.recipe import Recipe
 from rigtool.recipe.rig import RigDescription
 from rigtool.recipe.virtual import Virtual
@@ -40,9 +41,6 @@ OBSERVED_CHANNELS = (
 CONTACTS, HAND = 0xC047AC7, 0x4A4D
 """Streams of the seed for random draws other than the bench's own noise."""
 
-SIMULATED_GRAVITY = 9.81
-"""Acceleration of the simulated weights, m/s2: it enters their inertia, and so every digit of
-earlier runs."""
 NO_TABLE = (np.zeros((0, 0)), np.zeros(0), np.zeros(3))
 SOAK_TIME = 600.0
 MOVE_SPEED = 2.0
@@ -311,7 +309,7 @@ class VirtualRig(Rig):
         instrument = rig.attachment == "instrument"
         p = np.zeros(1, dtype=layout.PARAMETERS)
         force = load.force * (1 + v.misstated.weights)
-        mass = force / SIMULATED_GRAVITY
+        mass = force / STANDARD_GRAVITY
         hanging = 0.0 if instrument else force * rig.pulley_radius
         inertia = motor.inertia + (v.arm.inertia if load.clamped else 0.0)
         if instrument:
@@ -386,7 +384,7 @@ class VirtualRig(Rig):
             "drift_decay": drift_decay,
             "drift_gain": v.instrument.drift * math.sqrt(1 - drift_decay**2),
             "load_inertia": mass * rig.load_arm**2,
-            "inertia_per_weight": rig.load_arm / SIMULATED_GRAVITY,
+            "inertia_per_weight": rig.load_arm / STANDARD_GRAVITY,
         }
         for name, value in values.items():
             p[name] = value

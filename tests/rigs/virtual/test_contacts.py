@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rigtool.quantity import STANDARD_GRAVITY
 from rigtool.recipe import load_recipe
 from rigtool.recipe.virtual import Mass, Pulse, Ramp, Sine, Tissue
 from rigtool.rigs import Feedforward, Load, Task, open_rig
@@ -86,7 +87,7 @@ def test_the_pulley_accelerates_a_mass_on_its_cord():
     rig, recipe = rig_with(hung, overrides=FREE)
     got = perform(rig, Task(CurrentSteps((0.0,), 0.2), touched=True))
     # Atwood's machine: of the weight's torque the cord passes on what turns the rotor.
-    own, hanging = recipe.virtual.motor.inertia, 3.0 / 9.81 * 0.014**2
+    own, hanging = recipe.virtual.motor.inertia, 3.0 / STANDARD_GRAVITY * 0.014**2
     cord = 3.0 * 0.014 * own / (own + hanging)
     np.testing.assert_allclose(got["reference_torque"], cord, rtol=1e-9)
     fallen = -got["encoder"][-1] * 2 * np.pi / 4000

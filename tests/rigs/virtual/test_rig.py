@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 from rigtool.control.lookup_table import LookupTable
 from rigtool.control.position_loop import controller_sections
 from rigtool.errors import RecipeError
+from rigtool.quantity import STANDARD_GRAVITY
 from rigtool.recipe import load_recipe, parse_recipe
 from rigtool.rigs import Feedforward, Load, Task, open_rig
 from rigtool.rigs.motion import CurrentRamp, CurrentSteps, SpeedProfile, Triangle
@@ -200,7 +201,7 @@ def test_loaded_grasper_swings_at_its_resonance():
     swing = swing - swing[-500:].mean()
     crossings = np.flatnonzero(np.diff(np.sign(swing[: len(swing) // 2])))
     frequency = (len(crossings) - 1) / 2 / (np.ptp(crossings) * 1e-3)
-    inertia = recipe.virtual.instrument.grasper_inertia + force / 9.81 * 0.02**2
+    inertia = recipe.virtual.instrument.grasper_inertia + force / STANDARD_GRAVITY * 0.02**2
     stiffness = recipe.virtual.instrument.stiffness + force * 0.02  # cos of a small angle
     assert frequency == pytest.approx(np.sqrt(stiffness / inertia) / 2 / np.pi, rel=0.03)
 
