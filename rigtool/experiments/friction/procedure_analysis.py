@@ -247,7 +247,10 @@ def fit_holds(
         if chosen.any()
     ]
     steady = everything[~shaken]
-    return fit_directions(steady.speed, steady.torque, steady.u), steady, notes
+    try:
+        return fit_directions(steady.speed, steady.torque, steady.u), steady, notes
+    except InsufficientDataError as error:
+        raise InsufficientDataError("; ".join([*notes, str(error)])) from None
 
 
 def _note_lacking(lacking: UnsampledCurrent, holds: Holds, found: Findings) -> None:

@@ -34,7 +34,8 @@ STORED_REVOLUTIONS = 100
 def loop_note(recipe: Recipe, fastest: float) -> str:
     """State up to which order the loop follows ripple at the highest speed, turns a second."""
     order = np.arange(1.0, HIGHEST_ORDER + 1)
-    followed = int(np.sum(np.abs(_loop(recipe, order * fastest)) >= LOWEST_FOLLOWED))
+    lost = np.flatnonzero(np.abs(_loop(recipe, order * fastest)) < LOWEST_FOLLOWED)
+    followed = int(lost[0]) if lost.size else HIGHEST_ORDER
     return (
         "amplitudes are those of the motor's torque: the controller's torque, divided by the "
         "complementary sensitivity T of the recipe's controller and inertia; waveforms are what it "

@@ -54,7 +54,8 @@ class Slopes:
     (m,) in degC, weighted as the slope weights its plateaus; `rotor_angle` (m,) in rad.
     `heating` is the relative amount by which heat in the winding lowered the slopes on average,
     `heating_u` its standard uncertainty with `heating_dof`; `steady_heating` 1/A2 is what a current
-    lowers the constant by that flows for long, times its square; `friction_u` the relative standard
+    lowers the constant by that flows for long, times its square, `steady_heating_u` its u from
+    scatter and `steady_heating_spread` that from tau; `friction_u` the relative standard
     uncertainty from the model of friction with `friction_dof`, `friction_share` the
     relative part by which friction changes a straight line's slope; `resolution_u` that from the
     resolution of the gauge; `trend_u` in N m/(A K) is what both give a change with temperature.
@@ -75,6 +76,7 @@ class Slopes:
     heating_dof: float
     steady_heating: float
     steady_heating_u: float
+    steady_heating_spread: float
     friction_u: float
     friction_dof: float
     friction_share: float
@@ -125,8 +127,9 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         heating=solution.heating,
         heating_u=solution.heating_u,
         heating_dof=solution.heating_dof,
-        steady_heating=solution.loss * hypotheses.best.time_constant,
+        steady_heating=hypotheses.loss,
         steady_heating_u=solution.loss_u * hypotheses.best.time_constant,
+        steady_heating_spread=hypotheses.loss_spread,
         friction_u=math.hypot(u, hypotheses.spread) / constant,
         friction_dof=dof,
         friction_share=share,
@@ -167,7 +170,6 @@ class _Solution:
     heating: float
     heating_u: float
     heating_dof: float
-    loss: float
     loss_u: float
     fit: _LeastSquares
     off_line: Array
@@ -203,7 +205,6 @@ def _solve(stairs: Stairs, common: Common, coefficient: float, rise: Array) -> _
         heating=loss * share,
         heating_u=loss_u * share,
         heating_dof=loss_dof,
-        loss=loss,
         loss_u=loss_u,
         fit=fit,
         off_line=stairs.torque - current * fit.own[:, :1] - stairs.weight * fit.own[:, 1:2],

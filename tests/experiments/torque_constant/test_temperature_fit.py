@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import GTC
 import numpy as np
@@ -358,6 +359,27 @@ def test_linearity_finds_the_worst_level():
     # levels off the line set the uncertainty of the line; that of a level comes from its repeats
     assert found.dof == len(x) - 2
     assert found.deviation_dof == len(plateaus.current) - len(x)
+    # one level is the worst beyond doubt
+    level = np.searchsorted(x + 1e-6, plateaus.current_setpoint)
+    scatter = (
+        plateaus.current - np.bincount(level, plateaus.current)[level] / np.bincount(level)[level]
+    )
+    at_worst = np.count_nonzero(level == np.argmax(np.abs(found.deviations)))
+    u = np.sqrt(np.sum(scatter**2) / found.deviation_dof / at_worst)
+    assert_allclose(found.deviation_u, u, rtol=1e-9)
+
+
+def test_the_largest_of_deviations_by_chance_is_no_larger_than_its_uncertainty_explains():
+    rng = np.random.default_rng(91001)
+    levels, repeats, pulls = 17, 8, []
+    for _ in range(200):
+        setpoint = np.tile(np.linspace(0, 4, levels), repeats)
+        plateaus = SimpleNamespace(
+            current_setpoint=setpoint, current=setpoint + 1e-4 * rng.standard_normal(setpoint.size)
+        )
+        found = amplifier_linearity(plateaus)
+        pulls.append(found.deviation / found.deviation_u)
+    assert np.mean(np.array(pulls) < 1.96) > 0.99
 
 
 @pytest.mark.parametrize(
