@@ -45,6 +45,9 @@ LOOP_CHANNELS = (
 AT_THE_LIMIT = 0.999
 """Part of the rig's limit of current from which on a set point counts as at the limit."""
 
+SMALL_PART = 0.25
+"""Part of the limit of current below which the mean at constant speed does not explain peaks."""
+
 UNEXPLAINED_DISTANCE = 0.1
 """Distance of rotor and set point that is accepted without a torque, rad: friction, the encoder's
 steps and the delay of the current leave this much at any load."""
@@ -174,14 +177,25 @@ def require_tracking(
         )
 
 
-def require_unlimited(largest_current: float, recipe: Recipe, remedy: str) -> None:
-    """Raise `InsufficientDataError` where a current set point, A, is at the limit of the rig."""
+def require_unlimited(
+    largest_current: float, recipe: Recipe, remedy: str, usual: float = math.inf
+) -> None:
+    """Raise `InsufficientDataError` where a current set point, A, is at the limit of the rig.
+
+    `usual` is the size of its mean at constant speed, A: where that is small, the set point shakes.
+    """
     limit = recipe.rig.current_limit
-    if largest_current >= AT_THE_LIMIT * limit:
-        raise InsufficientDataError(
-            f"the current set point reaches the limit of {limit} A, so the controller saturates "
-            f"and the current no longer shows the torque: {remedy}"
+    if largest_current < AT_THE_LIMIT * limit:
+        return
+    if usual < SMALL_PART * limit:
+        remedy = (
+            f"its mean is {usual:.3g} A, so the loop shakes, by coarse steps of the encoder, by "
+            "noise or by itself; take an encoder with more counts, or a softer [rig.controller]"
         )
+    raise InsufficientDataError(
+        f"the current set point reaches the limit of {limit} A, so the controller saturates "
+        f"and the current no longer shows the torque: {remedy}"
+    )
 
 
 def smallest_gain(recipe: Recipe) -> float:

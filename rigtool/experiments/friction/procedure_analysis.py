@@ -57,7 +57,13 @@ from rigtool.runfile import Recording, Run, Table
 NOTED_SHARE = 0.1
 """Part of its limit above which unsampled torque gets a note."""
 
-SATURATED_REMEDY = "lower stribeck.speed_max, or the load on the shaft"
+SATURATED_REMEDY = (
+    "lower stribeck.hold_speeds or the load on the shaft, or raise rig.current_limit as far as the "
+    "motor bears it"
+)
+
+HOLD_PARTS = 50
+"""Of a recording of holds, most of them of one direction: their means show what friction takes."""
 
 SPECTRUM_POINTS, EDGE_HARMONICS = 500, 50
 """Frequencies up to half the rate at which the loop's answer to the encoder is taken, and harmonics
@@ -162,7 +168,9 @@ def _find_holds(recording: Recording, recipe: Recipe, scale: Scale) -> Holds:
     """Return the holds of a recording; raises `InsufficientDataError` where current saturates."""
     with naming(recording):
         asked = recording.read("current_setpoint")
-        require_unlimited(float(np.abs(asked).max(initial=0.0)), recipe, SATURATED_REMEDY)
+        means = [part.mean() for part in np.array_split(asked, HOLD_PARTS) if part.size]
+        largest, usual = float(np.abs(asked).max(initial=0.0)), float(np.mean(np.abs(means)))
+        require_unlimited(largest, recipe, SATURATED_REMEDY, usual)
     followed = recording.has("position_setpoint")
     found = find_holds(
         time=recording.read("time"),
@@ -213,15 +221,14 @@ def _fit_holds(
         if recording.has("current"):
             setpoints.append(recording.read("current_setpoint"))
             currents.append(recording.read("current"))
-    by_steps = _encoder_shaking(recipe, np.concatenate([part.speed for part in parts]))
-    fits, steady, notes = fit_holds(parts, by_steps)
-    if setpoints:
+    every = pool(parts)
+    if setpoints:  # before a fit that fails by it
         require_linear_at_low_current(
             current_setpoint=np.concatenate(setpoints),
             current=np.concatenate(currents),
-            friction_current=float(np.mean([fit.friction for fit in fits.values()])) / scale.value,
+            friction_current=float(np.mean(np.abs(every.torque))) / scale.value,
         )
-    return fits, steady, notes
+    return fit_holds(parts, _encoder_shaking(recipe, every.speed))
 
 
 def fit_holds(

@@ -322,7 +322,7 @@ def _require_resolution(plateaus: Plateaus) -> None:
         raise InsufficientDataError(
             f"the gauge reads in steps of {step * 1e3:.3g} mN m at the arm, the staircase has "
             f"{span * 1e3:.3g} mN m: fewer than {FEWEST_STEPS} steps; take a finer gauge, a "
-            "longer arm or a higher current_max"
+            "shorter arm or a higher current_max"
         )
 
 
@@ -380,7 +380,7 @@ def _too_much(stairs: Stairs, solution: _Solution) -> str:
         return (
             f"the gauge reads in steps of {stairs.resolution * 1e3:.3g} mN m at the arm, too "
             f"coarse to separate friction from torque in a staircase of {span * 1e3:.3g} mN m; "
-            "take a finer gauge, a longer arm or a higher current_max"
+            "take a finer gauge, a shorter arm or a higher current_max"
         )
     friction = _hysteresis(stairs, solution.off_line)[0] / 2
     if friction > LARGE_FRICTION * span:
