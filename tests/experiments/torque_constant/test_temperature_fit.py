@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.staircase import amplifier_linearity, plateaus_of_set_point
+from rigtool.experiments.torque_constant.staircase_fit import fit_staircases
 from rigtool.experiments.torque_constant.temperature_fit import Calibration, _ripple, calibrate
 from rigtool.numerics.angle_effects import AngleEffects
 from rigtool.numerics.turn_mean import mean_over_turn
@@ -249,6 +250,21 @@ def test_a_drift_within_the_staircases_is_taken_out_of_the_torque():
     found = analyse(bench, bench.record((30, 50), angles=3))
     assert_allclose(found.coefficient.value, -1.16e-3, rtol=0.05)
     assert (found.slopes.u < 2.5e-5 * found.mean.value).all()
+
+
+@pytest.mark.parametrize("bench", [Bench(), Bench(heating=0.05, time_constant=4.0)])
+def test_the_loss_by_a_steady_current_is_as_uncertain_as_the_time_constant(bench):
+    """A staircase of 4 s shows a winding of 4 s; of one of 29 s it shows how fast it warms."""
+    plateaus = [
+        plateaus_of_set_point(**bench.record(), arm_length=bench.arm_length, settle_time=settle)
+        for settle in (bench.settle_time, bench.settle_time + bench.sample_time)
+    ]
+    one, other = (fit_staircases(each) for each in plateaus)
+    u = math.hypot(one.steady_heating_u, one.steady_heating_spread)
+    true = -bench.coefficient * bench.heating * bench.time_constant
+    assert abs(one.steady_heating - true) < 2 * u
+    assert abs(one.steady_heating - other.steady_heating) < u  # one sample of settling
+    assert (one.steady_heating_spread > 0.3 * true) == (bench.time_constant > 20)
 
 
 def test_one_rotor_angle_leaves_the_heat_unknown():
