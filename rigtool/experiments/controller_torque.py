@@ -48,6 +48,10 @@ AT_THE_LIMIT = 0.999
 SMALL_PART = 0.25
 """Part of the limit of current below which the mean at constant speed does not explain peaks."""
 
+PARTS = 50
+"""Of a recording at constant speeds, most of them of one direction: their means are what it takes.
+"""
+
 UNEXPLAINED_DISTANCE = 0.1
 """Distance of rotor and set point that is accepted without a torque, rad: friction, the encoder's
 steps and the delay of the current leave this much at any load."""
@@ -196,6 +200,12 @@ def require_unlimited(
         f"the current set point reaches the limit of {limit} A, so the controller saturates "
         f"and the current no longer shows the torque: {remedy}"
     )
+
+
+def usual_current(asked: Array) -> float:
+    """Return the size of the mean of current set points (n,) at constant speeds, A."""
+    parts = [part.mean() for part in np.array_split(asked, PARTS) if part.size]
+    return float(np.mean(np.abs(parts))) if parts else 0.0
 
 
 def smallest_gain(recipe: Recipe) -> float:

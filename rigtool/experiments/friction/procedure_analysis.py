@@ -20,6 +20,7 @@ from rigtool.experiments.controller_torque import (
     controller_torque,
     naming,
     require_unlimited,
+    usual_current,
 )
 from rigtool.experiments.friction.breakaway import Breakaway, TorqueRamp, around_turn, find_ramps
 from rigtool.experiments.friction.holds import SHAKING_LIMIT, Holds, find_holds, pool
@@ -61,9 +62,6 @@ SATURATED_REMEDY = (
     "lower stribeck.hold_speeds or the load on the shaft, or raise rig.current_limit as far as the "
     "motor bears it"
 )
-
-HOLD_PARTS = 50
-"""Of a recording of holds, most of them of one direction: their means show what friction takes."""
 
 SPECTRUM_POINTS, EDGE_HARMONICS = 500, 50
 """Frequencies up to half the rate at which the loop's answer to the encoder is taken, and harmonics
@@ -168,9 +166,8 @@ def _find_holds(recording: Recording, recipe: Recipe, scale: Scale) -> Holds:
     """Return the holds of a recording; raises `InsufficientDataError` where current saturates."""
     with naming(recording):
         asked = recording.read("current_setpoint")
-        means = [part.mean() for part in np.array_split(asked, HOLD_PARTS) if part.size]
-        largest, usual = float(np.abs(asked).max(initial=0.0)), float(np.mean(np.abs(means)))
-        require_unlimited(largest, recipe, SATURATED_REMEDY, usual)
+        largest = float(np.abs(asked).max(initial=0.0))
+        require_unlimited(largest, recipe, SATURATED_REMEDY, usual_current(asked))
     followed = recording.has("position_setpoint")
     found = find_holds(
         time=recording.read("time"),

@@ -17,7 +17,7 @@ from rigtool.experiments.ripple.orders import (
     spectrum,
 )
 from rigtool.numerics.arrays import Array, ComplexArray
-from rigtool.quantity import Quantity
+from rigtool.quantity import Quantity, error_line
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Recording, Table, dof_column
 
@@ -100,9 +100,14 @@ def comparison_results(comparisons: Sequence[RippleComparison]) -> dict[str, Qua
     if not comparisons:
         return {}
     worst = min(comparisons, key=lambda found: found.correlation)
+
+    def stated(value: float, unit: str, u: float) -> Quantity:
+        line = error_line("scatter over the turns", u, unit, worst.dof)
+        return Quantity(value, unit, u, worst.dof, budget=(line,))
+
     return {
-        "power_cycle_correlation": Quantity(worst.correlation, "1", worst.correlation_u, worst.dof),
-        "power_cycle_shift": Quantity(worst.shift, "rad", worst.shift_u, worst.dof),
+        "power_cycle_correlation": stated(worst.correlation, "1", worst.correlation_u),
+        "power_cycle_shift": stated(worst.shift, "rad", worst.shift_u),
     }
 
 
