@@ -48,9 +48,9 @@ AT_THE_LIMIT = 0.999
 SMALL_PART = 0.25
 """Part of the limit of current below which the mean at constant speed does not explain peaks."""
 
-PARTS = 50
-"""Of a recording at constant speeds, most of them of one direction: their means are what it takes.
-"""
+PARTS = 8
+"""Of a recording at constant speeds, most of them of one direction: their means are what it takes,
+also where the loop swings slowly."""
 
 UNEXPLAINED_DISTANCE = 0.1
 """Distance of rotor and set point that is accepted without a torque, rad: friction, the encoder's
