@@ -191,9 +191,11 @@ def require_unlimited(
     limit = recipe.rig.current_limit
     if largest_current < AT_THE_LIMIT * limit:
         return
-    if usual < SMALL_PART * limit:
+    if usual >= SMALL_PART * limit:
+        remedy += ", or raise rig.current_limit as far as the motor bears it"
+    else:
         remedy = (
-            f"its mean is {usual:.3g} A, so the loop shakes, by coarse steps of the encoder, by "
+            "turning takes little of it, so the loop shakes, by coarse steps of the encoder, by "
             "noise or by itself; take an encoder with more counts, or a softer [rig.controller]"
         )
     raise InsufficientDataError(

@@ -72,9 +72,11 @@ def test_a_loop_that_shakes_to_the_limit_is_not_told_to_carry_less():
     recipe, _ = load_recipe(RECIPE)
     limit = recipe.rig.current_limit
     require_unlimited(0.99 * limit, recipe, "turn more slowly", 0.0)
-    with pytest.raises(InsufficientDataError, match=r"limit of 10.0 A.*: turn more slowly"):
+    with pytest.raises(
+        InsufficientDataError, match=r"limit of 10.0 A.*: turn more slowly, or raise"
+    ):
         require_unlimited(limit, recipe, "turn more slowly", 0.3 * limit)
-    with pytest.raises(InsufficientDataError, match=r"its mean is 0.06 A, so the loop shakes"):
+    with pytest.raises(InsufficientDataError, match="so the loop shakes"):
         require_unlimited(limit, recipe, "turn more slowly", 0.06)
 
 

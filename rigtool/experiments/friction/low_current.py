@@ -73,8 +73,8 @@ def require_linear_at_low_current(
         raise InsufficientDataError(
             f"the current set point shakes by {shaken * 1e3:.3g} mA, limit "
             f"{SHAKEN_RATIO * friction_current * 1e3:.3g} mA ({SHAKEN_RATIO:g} times what friction "
-            "takes), and the current lags behind it: noise, or steps of the encoder in the loop; "
-            "take an encoder with more counts, or a softer controller"
+            "takes), and the current lags behind it: noise, ripple or steps of the encoder in the "
+            "loop, or hardly any friction; take an encoder with more counts, or a softer controller"
         )
     if rms > limit:
         worst = int(np.argmax(np.abs(deviation)))

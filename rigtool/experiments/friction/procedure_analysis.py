@@ -58,10 +58,7 @@ from rigtool.runfile import Recording, Run, Table
 NOTED_SHARE = 0.1
 """Part of its limit above which unsampled torque gets a note."""
 
-SATURATED_REMEDY = (
-    "lower stribeck.hold_speeds or the load on the shaft, or raise rig.current_limit as far as the "
-    "motor bears it"
-)
+SATURATED_REMEDY = "lower stribeck.hold_speeds or the load on the shaft"
 
 SPECTRUM_POINTS, EDGE_HARMONICS = 500, 50
 """Frequencies up to half the rate at which the loop's answer to the encoder is taken, and harmonics

@@ -39,6 +39,9 @@ from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
 MOTION_PART = 0.5
 """Part of the limit of current that turning alone may take."""
 
+MANY_PARTS = 50
+"""Of a recording, most of them of one direction, in which the loop's answer is seen."""
+
 LARGEST_ANSWER = 3.0
 """How many times as far as the excitation, rms, a stable loop swings against it at most."""
 
@@ -137,12 +140,12 @@ def _require_unlimited(asked: Array, signal: Array, recipe: Recipe) -> None:
     if motion > MOTION_PART * recipe.rig.current_limit:
         remedy = (
             f"turning alone takes {motion:.3g} A; lower identify_plant.speeds or the load on the "
-            "shaft, or raise rig.current_limit as far as the motor bears it"
+            "shaft"
         )
     else:
         remedy = "lower identify_plant.current_share or swing"
-    swings = float(np.std(asked - signal)) > LARGEST_ANSWER * float(np.std(signal))
-    usual = motion if swings else math.inf
+    swing = float(np.mean([part.std() for part in np.array_split(asked - signal, MANY_PARTS)]))
+    usual = 0.0 if swing > LARGEST_ANSWER * float(np.std(signal)) else math.inf
     require_unlimited(float(np.abs(asked).max(initial=0.0)), recipe, remedy, usual)
 
 

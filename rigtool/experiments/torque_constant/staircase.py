@@ -102,7 +102,8 @@ def plateaus_of_set_point(
     if np.count_nonzero(keep) < MINIMUM_PLATEAUS:
         raise InsufficientDataError(
             f"the current set point has {np.count_nonzero(keep)} plateaus longer than the "
-            f"{settle_time:g} s of settling, {MINIMUM_PLATEAUS} are needed: hold each step longer"
+            f"{settle_time:g} s of settling, {MINIMUM_PLATEAUS} are needed: hold each step longer, "
+            "or record more often"
         )
 
     def mean(values: Array) -> Array:
