@@ -123,13 +123,14 @@ def ilc_learn(
     imported runs of known loads needs no recipe; two loads are enough with a `prior` of another
     mounting. Raises `UsageError` for a `prior` of other runs.
     """
-    from rigtool.experiments.learning.procedure import BY_LOAD, PROCEDURE, asked
+    from rigtool.experiments.learning.procedure import PROCEDURE, asked, of_stored
 
-    inputs = {"kt": kt, "friction": friction, "plant": plant}
-    if implementation == "D" and not any(map(_has_recipe, sources)):
-        return _call(BY_LOAD, sources, {**inputs, "prior": prior}, **options)
-    if prior is not None:
+    inputs = {"kt": kt, "friction": friction, "plant": plant, "prior": prior}
+    stored = not any(map(_has_recipe, sources))
+    if prior is not None and not (stored and implementation == "D"):
         raise UsageError("prior: is for imported runs with implementation D")
+    if stored:
+        return _call(of_stored(implementation), sources, inputs, **options)
     given = CommonOptions(overrides=tuple(options.get("settings", ())))
     options["settings"] = asked(given, implementation, validate=False).overrides
     return _call(PROCEDURE, sources, inputs, **options)

@@ -102,15 +102,13 @@ def command(
                 )
         _check(sources, output, options, tables=check, kt=kt, plant=plant)
         return
-    # Imported runs hold no recipe that names an implementation: D learns from known loads.
-    by_load = implementation == "D" and not any(map(is_recipe, sources))
-    if prior is not None and not by_load:
+    stored = not any(map(is_recipe, sources))
+    if prior is not None and not (stored and implementation == "D"):
         raise click.UsageError("--prior: is for imported runs with --implementation D")
-    if not by_load:
-        options = ilc_learn.asked(options, implementation, validate=validate)
+    options = ilc_learn.asked(options, None if stored else implementation, validate=validate)
     if learning_filter is not None:
         options = options.with_override(f"ilc_learn.learning_filter={learning_filter}")
-    procedure = ilc_learn.BY_LOAD if by_load else ilc_learn.PROCEDURE
+    procedure = ilc_learn.of_stored(implementation) if stored else ilc_learn.PROCEDURE
     paths = {"kt": kt, "friction": friction, "plant": plant, "prior": prior}
     run_and_print(procedure, sources, output, options, **paths)
 

@@ -45,6 +45,13 @@ LOOP_CHANNELS = (
 AT_THE_LIMIT = 0.999
 """Part of the rig's limit of current from which on a set point counts as at the limit."""
 
+SMALL_PART = 0.25
+"""Part of the limit of current below which the mean at constant speed does not explain peaks."""
+
+PARTS = 8
+"""Of a recording at constant speeds, most of them of one direction: their means are what it takes,
+also where the loop swings slowly."""
+
 UNEXPLAINED_DISTANCE = 0.1
 """Distance of rotor and set point that is accepted without a torque, rad: friction, the encoder's
 steps and the delay of the current leave this much at any load."""
@@ -174,14 +181,33 @@ def require_tracking(
         )
 
 
-def require_unlimited(largest_current: float, recipe: Recipe, remedy: str) -> None:
-    """Raise `InsufficientDataError` where a current set point, A, is at the limit of the rig."""
+def require_unlimited(
+    largest_current: float, recipe: Recipe, remedy: str, usual: float = math.inf
+) -> None:
+    """Raise `InsufficientDataError` where a current set point, A, is at the limit of the rig.
+
+    `usual` is the size of its mean at constant speed, A: where that is small, the set point shakes.
+    """
     limit = recipe.rig.current_limit
-    if largest_current >= AT_THE_LIMIT * limit:
-        raise InsufficientDataError(
-            f"the current set point reaches the limit of {limit} A, so the controller saturates "
-            f"and the current no longer shows the torque: {remedy}"
+    if largest_current < AT_THE_LIMIT * limit:
+        return
+    if usual >= SMALL_PART * limit:
+        remedy += ", or raise rig.current_limit as far as the motor bears it"
+    else:
+        remedy = (
+            "turning takes little of it, so the loop shakes, by coarse steps of the encoder, by "
+            "noise or by itself; take an encoder with more counts, or a softer [rig.controller]"
         )
+    raise InsufficientDataError(
+        f"the current set point reaches the limit of {limit} A, so the controller saturates "
+        f"and the current no longer shows the torque: {remedy}"
+    )
+
+
+def usual_current(asked: Array) -> float:
+    """Return the size of the mean of current set points (n,) at constant speeds, A."""
+    parts = [part.mean() for part in np.array_split(asked, PARTS) if part.size]
+    return float(np.mean(np.abs(parts))) if parts else 0.0
 
 
 def smallest_gain(recipe: Recipe) -> float:

@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 
 import rigtool
-from rigtool.errors import RecipeError, RunFileError, UsageError
+from rigtool.errors import RunFileError, UsageError
 
 FIXTURES = Path(__file__).parents[1] / "fixtures"
 REFERENCES = json.loads((FIXTURES / "references.json").read_text())
@@ -128,7 +128,7 @@ def test_a_recipe_is_measured_by(tmp_path):
 def test_implementations_are_chosen_by_letter():
     found = rigtool.ilc_learn(path_of("turning"), kt=path_of("kt"), implementation="B")
     assert found.results["lookup_period"].value == pytest.approx(2 * math.pi, rel=1e-9)
-    with pytest.raises(RecipeError, match=r"ilc_learn\.implementation"):
+    with pytest.raises(UsageError, match="implementation E: there are A, B, C, D, standard"):
         rigtool.ilc_learn(path_of("turning"), kt=path_of("kt"), implementation="E")
 
 

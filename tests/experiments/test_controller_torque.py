@@ -12,6 +12,7 @@ from rigtool.experiments.controller_torque import (
     loop_blocks,
     loop_signals,
     naming,
+    require_unlimited,
 )
 from rigtool.experiments.procedure import channels
 from rigtool.recipe import load_recipe
@@ -65,6 +66,18 @@ def test_a_loop_that_saturates_is_refused(tmp_path):
     limit = load_recipe(RECIPE, ())[0].rig.current_limit
     with pytest.raises(InsufficientDataError, match="reaches the limit"):
         recorded(tmp_path / "run.h5", asked=limit)
+
+
+def test_a_loop_that_shakes_to_the_limit_is_not_told_to_carry_less():
+    recipe, _ = load_recipe(RECIPE)
+    limit = recipe.rig.current_limit
+    require_unlimited(0.99 * limit, recipe, "turn more slowly", 0.0)
+    with pytest.raises(
+        InsufficientDataError, match=r"limit of 10.0 A.*: turn more slowly, or raise"
+    ):
+        require_unlimited(limit, recipe, "turn more slowly", 0.3 * limit)
+    with pytest.raises(InsufficientDataError, match="so the loop shakes"):
+        require_unlimited(limit, recipe, "turn more slowly", 0.06)
 
 
 def test_an_error_names_its_recording():

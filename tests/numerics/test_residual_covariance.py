@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.fft import dct
 from scipy.signal import lfilter
 
 from rigtool.numerics.residual_covariance import (
     MIN_COEFFICIENTS,
+    cosine_transform,
     independent_samples,
     kept_by_fit,
     long_run_covariance,
@@ -101,3 +103,24 @@ def test_what_a_fit_of_slow_regressors_takes_from_slow_residuals():
     lost = np.mean(stated, axis=0) / truth
     assert np.min(lost) < 0.85
     np.testing.assert_allclose(lost / kept_by_fit(design, lowest), 1, atol=0.15)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 8, 9])
+def test_the_cosine_transform_is_scipys(count):
+    values = np.random.default_rng(7).normal(size=(count, 2))
+    expected = dct(values, type=2, axis=0) / 2
+    np.testing.assert_allclose(cosine_transform(values), expected, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [40, 41])
+def test_what_a_fit_leaves_of_coefficients_is_that_of_the_projection_written_out(count):
+    random = np.random.default_rng(8)
+    design, more, lowest = random.normal(size=(count, 2)), np.ones((count, 1)), 7
+    whole = np.column_stack([design, more])
+    left = np.eye(count) - whole @ np.linalg.pinv(whole)
+    time = np.arange(count) + 0.5
+    waves = np.cos(np.pi * np.outer(np.arange(1, lowest + 1), time) / count)
+    weighted = waves[:, :, None] * design  # (lowest, n, p)
+    after = np.einsum("ts,jsp->jtp", left, weighted)
+    expected = np.sum(after**2, axis=(0, 1)) / np.sum(weighted**2, axis=(0, 1))
+    np.testing.assert_allclose(kept_by_fit(design, lowest, more), expected, rtol=1e-9)

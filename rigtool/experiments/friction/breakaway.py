@@ -52,7 +52,7 @@ def find_ramps(
     counts as breakaway, rad. A ramp begins where torque falls back or time has a gap. Raises
     `InsufficientDataError` where there is none.
     """
-    t, shaft, effort = require_signals(MIN_RAMP_SAMPLES, time=time, angle=angle, torque=torque)
+    t, shaft, effort = require_signals(2, time=time, angle=angle, torque=torque)
     size = np.abs(effort)
     step = float(np.median(np.diff(t)))
     fallen = np.diff(size) < -RAMP_END_DROP * size.max()
@@ -73,8 +73,8 @@ def find_ramps(
         found = "" if longest >= MIN_RAMP_SAMPLES else f"; the longest has {longest} samples"
         raise InsufficientDataError(
             "no ramp of torque was found: each must rise slowly from zero at standstill, with "
-            f"{MIN_RAMP_SAMPLES} samples or more{found}: lower stribeck.breakaway_rate, or shorten "
-            "rig.sample_time"
+            f"{MIN_RAMP_SAMPLES} samples or more{found}: lower stribeck.breakaway_rate, raise "
+            "stribeck.breakaway_angle where ramps end too soon, or shorten rig.sample_time"
         )
     return ramps
 

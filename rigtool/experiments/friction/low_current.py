@@ -7,6 +7,8 @@ friction takes; those of the IDM640 in Appendix C were not.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -22,6 +24,9 @@ MIN_SAMPLES_IN_BIN = 50
 DEVIATION_LIMIT = 0.04
 """Largest rms deviation, relative to the current that friction takes."""
 
+BY_CHANCE = 0.01
+"""How seldom noise of the reading alone leaves as large deviations."""
+
 SHAKEN_RATIO = 5.0
 """Set points of this many times the current that friction takes are the loop's answer to the steps
 of the encoder, or to noise: a current that lags behind them is no line over them."""
@@ -34,6 +39,8 @@ def require_linear_at_low_current(
 
     `current_setpoint` and `current` (n,) in A from holds, `friction_current` in A.
     """
+    from scipy.special import chdtri
+
     setpoint, measured = require_signals(
         MIN_SAMPLES_IN_BIN, current_setpoint=current_setpoint, current=current
     )
@@ -53,7 +60,11 @@ def require_linear_at_low_current(
     weight = np.sqrt(count[full])
     line = np.linalg.pinv(design * weight[:, None]) @ (mean * weight)
     deviation = mean - design @ line
-    rms = float(np.sqrt(np.average(deviation**2, weights=count[full])))
+    # What noise of the reading leaves of the means of n samples each: sigma2/n, a chi-square.
+    square = float(np.sum(count[full] * deviation**2))
+    noise = np.mean((measured[inside] - line[0] - line[1] * setpoint[inside]) ** 2)
+    by_noise = float(noise) * chdtri(len(level) - 2, BY_CHANCE)
+    rms = math.sqrt(max(square - by_noise, 0.0) / float(np.sum(count[full])))
     limit = DEVIATION_LIMIT * friction_current
     if (
         rms > limit
@@ -62,8 +73,8 @@ def require_linear_at_low_current(
         raise InsufficientDataError(
             f"the current set point shakes by {shaken * 1e3:.3g} mA, limit "
             f"{SHAKEN_RATIO * friction_current * 1e3:.3g} mA ({SHAKEN_RATIO:g} times what friction "
-            "takes), and the current lags behind it: noise, or steps of the encoder in the loop; "
-            "take an encoder with more counts, or a softer controller"
+            "takes), and the current lags behind it: noise, ripple or steps of the encoder in the "
+            "loop, or hardly any friction; take an encoder with more counts, or a softer controller"
         )
     if rms > limit:
         worst = int(np.argmax(np.abs(deviation)))

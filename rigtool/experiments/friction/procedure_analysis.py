@@ -20,6 +20,7 @@ from rigtool.experiments.controller_torque import (
     controller_torque,
     naming,
     require_unlimited,
+    usual_current,
 )
 from rigtool.experiments.friction.breakaway import Breakaway, TorqueRamp, around_turn, find_ramps
 from rigtool.experiments.friction.holds import SHAKING_LIMIT, Holds, find_holds, pool
@@ -57,7 +58,7 @@ from rigtool.runfile import Recording, Run, Table
 NOTED_SHARE = 0.1
 """Part of its limit above which unsampled torque gets a note."""
 
-SATURATED_REMEDY = "lower stribeck.speed_max, or the load on the shaft"
+SATURATED_REMEDY = "lower stribeck.hold_speeds or the load on the shaft"
 
 SPECTRUM_POINTS, EDGE_HARMONICS = 500, 50
 """Frequencies up to half the rate at which the loop's answer to the encoder is taken, and harmonics
@@ -162,7 +163,8 @@ def _find_holds(recording: Recording, recipe: Recipe, scale: Scale) -> Holds:
     """Return the holds of a recording; raises `InsufficientDataError` where current saturates."""
     with naming(recording):
         asked = recording.read("current_setpoint")
-        require_unlimited(float(np.abs(asked).max(initial=0.0)), recipe, SATURATED_REMEDY)
+        largest = float(np.abs(asked).max(initial=0.0))
+        require_unlimited(largest, recipe, SATURATED_REMEDY, usual_current(asked))
     followed = recording.has("position_setpoint")
     found = find_holds(
         time=recording.read("time"),
@@ -213,15 +215,14 @@ def _fit_holds(
         if recording.has("current"):
             setpoints.append(recording.read("current_setpoint"))
             currents.append(recording.read("current"))
-    by_steps = _encoder_shaking(recipe, np.concatenate([part.speed for part in parts]))
-    fits, steady, notes = fit_holds(parts, by_steps)
-    if setpoints:
+    every = pool(parts)
+    if setpoints:  # before a fit that fails by it
         require_linear_at_low_current(
             current_setpoint=np.concatenate(setpoints),
             current=np.concatenate(currents),
-            friction_current=float(np.mean([fit.friction for fit in fits.values()])) / scale.value,
+            friction_current=float(np.mean(np.abs(every.torque))) / scale.value,
         )
-    return fits, steady, notes
+    return fit_holds(parts, _encoder_shaking(recipe, every.speed))
 
 
 def fit_holds(
@@ -247,7 +248,10 @@ def fit_holds(
         if chosen.any()
     ]
     steady = everything[~shaken]
-    return fit_directions(steady.speed, steady.torque, steady.u), steady, notes
+    try:
+        return fit_directions(steady.speed, steady.torque, steady.u), steady, notes
+    except InsufficientDataError as error:
+        raise InsufficientDataError("; ".join([*notes, str(error)])) from None
 
 
 def _note_lacking(lacking: UnsampledCurrent, holds: Holds, found: Findings) -> None:

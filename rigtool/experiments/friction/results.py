@@ -106,7 +106,8 @@ def add_friction(fits: dict[int, DirectionFit], offset: Offset | None, found: Fi
     if offset is not None:
         found.add("friction_offset", offset.offset, "N m")
         asymmetry, asymmetry_u = offset.asymmetry
-        found.results["friction_asymmetry"] = Quantity(asymmetry, "1", asymmetry_u)
+        line = error_line("friction of both directions", asymmetry_u, "1")
+        found.results["friction_asymmetry"] = combined(asymmetry, "1", [line])
         if not offset.separated:
             found.notes.append(SAME_COULOMB if offset.unknown else NOT_SEPARATED)
     elif len(fits) == 1:

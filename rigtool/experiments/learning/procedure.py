@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -139,20 +140,28 @@ PROCEDURE = Procedure(
 )
 
 
-def _analyse_by_load(runs: Sequence[Run], recipe: Recipe, **inputs: Run | None) -> Outcome:
-    """Learn as `analyse` from a stored run of implementation D; `UsageError` for any other."""
-    if (name := recipe.ilc_learn.implementation) != "D":
+def of_stored(name: str | None) -> Procedure:
+    """Return the procedure for stored runs of an implementation; None: of that they name.
+
+    Imported runs hold no recipe that names one: D learns from those with known loads. Raises
+    `UsageError` for a name that there is not.
+    """
+    if name is None:
+        return PROCEDURE
+    if name not in IMPLEMENTATIONS:
+        raise UsageError(f"implementation {name}: there are {', '.join(IMPLEMENTATIONS)}")
+    procedure = replace(PROCEDURE, analyse=partial(_analyse_named, name))
+    if name != "D":
+        return procedure
+    settings = {"measure_force.lowpass_hz": "bandwidth_hz"}
+    return replace(procedure, analyse_imported=_analyse_imported_loads, imported_settings=settings)
+
+
+def _analyse_named(name: str, runs: Sequence[Run], recipe: Recipe, **inputs: Run | None) -> Outcome:
+    """Learn as `analyse` from a stored run of one implementation; `UsageError` for any other."""
+    if (recorded := recipe.ilc_learn.implementation) != name:
         raise UsageError(
-            f"--implementation D: {runs[0].path} was recorded with implementation {name}, without "
-            "known loads: leave the option out, or measure again from the recipe"
+            f"--implementation {name}: {runs[0].path} was recorded with implementation {recorded}, "
+            "which moves in another way: leave the option out, or measure again from the recipe"
         )
     return analyse(runs, recipe, **inputs)  # type: ignore[arg-type]
-
-
-BY_LOAD = replace(
-    PROCEDURE,
-    analyse=_analyse_by_load,
-    analyse_imported=_analyse_imported_loads,
-    imported_settings={"measure_force.lowpass_hz": "bandwidth_hz"},
-)
-"""Implementation D, of imported runs as well: they hold no recipe that names an implementation."""

@@ -100,7 +100,8 @@ def fit_plant(found: FrequencyResponse, sample_time: float, nominal_inertia: flo
             f"(lowest {found.coherence.min():.2g} at "
             f"{found.frequency[np.argmin(found.coherence)]:.4g} Hz), half of them and at least "
             f"{MIN_LINES} are needed: the excitation is lost in disturbances and in the steps of "
-            "the encoder; raise identify_plant.swing or its speeds, or raise periods"
+            "the encoder; raise identify_plant.speeds, swing or periods, or correct [rig.inertia], "
+            "by which it is scaled"
         )
     data = _Data(found.lines(used))
     rigid = PlantModel(nominal_inertia, 0.0)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, RunFileError
-from rigtool.experiments.controller_torque import naming, require_unlimited
+from rigtool.experiments.controller_torque import naming, require_unlimited, usual_current
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.plant.angle_torque import without_angle_torque
 from rigtool.experiments.plant.fit import fit_plant
@@ -35,6 +35,15 @@ from rigtool.quantity import Quantity, combined, error_line
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig
 from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
+
+MOTION_PART = 0.5
+"""Part of the limit of current that turning alone may take."""
+
+MANY_PARTS = 50
+"""Of a recording, most of them of one direction, in which the loop's answer is seen."""
+
+LARGEST_ANSWER = 3.0
+"""How many times as far as the excitation, rms, a stable loop swings against it at most."""
 
 EDGE_STEPS = 2
 """Steps of the set point at the ends of a stretch of constant speed that may differ from it."""
@@ -122,13 +131,30 @@ def _torque_constant(recording: Recording, kt: Run | None) -> Quantity | None:
     return combined(constant.value, constant.unit, [*constant.budget, heat])
 
 
+def _require_unlimited(asked: Array, signal: Array, recipe: Recipe) -> None:
+    """Raise `InsufficientDataError` where a set point of current (n,), A, is at the limit.
+
+    `signal` (n,) is the excitation in it, A. Against that the loop swings about as far at most.
+    """
+    motion = usual_current(asked)
+    if motion > MOTION_PART * recipe.rig.current_limit:
+        remedy = (
+            f"turning alone takes {motion:.3g} A; lower identify_plant.speeds or the load on the "
+            "shaft"
+        )
+    else:
+        remedy = "lower identify_plant.current_share or swing"
+    swing = float(np.mean([part.std() for part in np.array_split(asked - signal, MANY_PARTS)]))
+    usual = 0.0 if swing > LARGEST_ANSWER * float(np.std(signal)) else math.inf
+    require_unlimited(float(np.abs(asked).max(initial=0.0)), recipe, remedy, usual)
+
+
 def _experiments(recording: Recording, recipe: Recipe, torque_constant: float) -> list[Experiment]:
     """Cut whole periods in steady state out of a recording: one experiment a direction."""
     asked, setpoint = recording.read("current_setpoint"), recording.read("position_setpoint")
     with naming(recording):
         rising_steps(recording.read("time"))
-        remedy = "lower identify_plant.current_share or swing"
-        require_unlimited(float(np.abs(asked).max(initial=0.0)), recipe, remedy)
+        _require_unlimited(asked, recording.read("signal_current"), recipe)
     angle = recording.read("encoder") * (2 * math.pi / recipe.rig.encoder_counts)
     signals = (
         torque_constant * recording.read("signal_current"),

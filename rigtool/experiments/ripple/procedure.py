@@ -210,7 +210,7 @@ class _Collected:
 
 def _collected(recording: Recording, recipe: Recipe, welch: Welch | None) -> _Collected:
     """Return a recording's steady revolutions; add their current to `welch`."""
-    steady, largest = _steady(recording), 0.0
+    steady, largest, total = _steady(recording), 0.0, 0.0
     with naming(recording):
         first, last = _ends(recording, "encoder", steady)
         revolutions = Revolutions(WAVEFORM_CELLS, forward=last > first)
@@ -218,11 +218,14 @@ def _collected(recording: Recording, recipe: Recipe, welch: Welch | None) -> _Co
             "time", "encoder", "current_setpoint", start=steady.start, stop=steady.stop
         ):
             largest = max(largest, float(np.abs(current).max()))
+            total += float(current.sum())
             encoder /= recipe.rig.encoder_counts
             revolutions.add(time, encoder, current)
             if welch is not None:
                 welch.add(current)
-        require_unlimited(largest, recipe, "lower fft_ripple.torques, or turn more slowly")
+        held = "torque" in recording.conditions
+        remedy = "lower fft_ripple.torques" if held else "turn more slowly"
+        require_unlimited(largest, recipe, remedy, abs(total) / len(steady))
         settings = recipe.fft_ripple
         sampling = Sampling(revolutions.step, settings.record_every)
         waveforms = revolutions.waveforms(settings.revolutions)

@@ -17,7 +17,7 @@ from rigtool.experiments.ripple.orders import (
     spectrum,
 )
 from rigtool.numerics.arrays import Array, ComplexArray
-from rigtool.quantity import Quantity
+from rigtool.quantity import Quantity, error_line
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Recording, Table, dof_column
 
@@ -34,7 +34,8 @@ STORED_REVOLUTIONS = 100
 def loop_note(recipe: Recipe, fastest: float) -> str:
     """State up to which order the loop follows ripple at the highest speed, turns a second."""
     order = np.arange(1.0, HIGHEST_ORDER + 1)
-    followed = int(np.sum(np.abs(_loop(recipe, order * fastest)) >= LOWEST_FOLLOWED))
+    lost = np.flatnonzero(np.abs(_loop(recipe, order * fastest)) < LOWEST_FOLLOWED)
+    followed = int(lost[0]) if lost.size else HIGHEST_ORDER
     return (
         "amplitudes are those of the motor's torque: the controller's torque, divided by the "
         "complementary sensitivity T of the recipe's controller and inertia; waveforms are what it "
@@ -99,9 +100,14 @@ def comparison_results(comparisons: Sequence[RippleComparison]) -> dict[str, Qua
     if not comparisons:
         return {}
     worst = min(comparisons, key=lambda found: found.correlation)
+
+    def stated(value: float, unit: str, u: float) -> Quantity:
+        line = error_line("scatter over the turns", u, unit, worst.dof)
+        return Quantity(value, unit, u, worst.dof, budget=(line,))
+
     return {
-        "power_cycle_correlation": Quantity(worst.correlation, "1", worst.correlation_u, worst.dof),
-        "power_cycle_shift": Quantity(worst.shift, "rad", worst.shift_u, worst.dof),
+        "power_cycle_correlation": stated(worst.correlation, "1", worst.correlation_u),
+        "power_cycle_shift": stated(worst.shift, "rad", worst.shift_u),
     }
 
 

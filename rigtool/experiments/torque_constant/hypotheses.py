@@ -70,7 +70,8 @@ class Hypotheses:
 
     `stairs` have courses without noise. `constant` in N m/A is the mean of all hypotheses on the
     mean staircases, `spread` their standard deviation, `drift` in N m/(A K) that of the constants'
-    change with temperature.
+    change with temperature. `loss` in 1/A2 is the mean over all of what a steady current lowers the
+    constant by, times its square, `loss_spread` its standard deviation.
     """
 
     stairs: Stairs
@@ -78,6 +79,8 @@ class Hypotheses:
     constant: float
     spread: float
     drift: float
+    loss: float
+    loss_spread: float
 
 
 def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypotheses:
@@ -103,16 +106,18 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
     probable /= probable.sum()
     mean = probable @ tried.slope
     spread = np.sqrt(probable @ (tried.slope - mean) ** 2)
-    best, constant = tried.commons[number], float(mean[0])
-    return Hypotheses(means.stairs, best, constant, float(spread[0]), float(spread[1]))
+    constant, _, loss = mean.tolist()
+    of_constant, drift, of_loss = spread.tolist()
+    best = tried.commons[number]
+    return Hypotheses(means.stairs, best, constant, of_constant, drift, loss, of_loss)
 
 
 @dataclass(frozen=True)
 class _Tried:
     """Hypotheses (n,), at places (n, 3 or 4) of a grid, and what they leave.
 
-    `volume` (n,) is the part of the grid that each represents, `square` (n,) is Q, `slope` (n, 2)
-    the mean of the torque constants and their change with temperature.
+    `volume` (n,) is the part of the grid that each represents, `square` (n,) is Q, `slope` (n, 3)
+    the mean of the torque constants, their change with temperature and `Hypotheses.loss`.
     """
 
     commons: list[Common]
@@ -226,7 +231,7 @@ class _Means:
         return -a * self._weight, -b * self._weight  # (..., g, p)
 
     def try_all(self, axes: list[Array]) -> tuple[list[Common], Array, Array]:
-        """Return all hypotheses of a grid, their Q (n,) and slopes (n, 2): mean and trend."""
+        """Return all hypotheses of a grid, their Q (n,) and slopes (n, 3)."""
         transition, tau, exponents = (np.exp(axis) for axis in axes[:3])
         lags: list[float | None] = [None]
         if len(axes) > 3:
@@ -249,12 +254,14 @@ class _Means:
                 product(transition, tau, exponents, lags), free.ravel(), strict=True
             )
         ]
-        return commons, square.ravel(), slope.reshape(-1, 2)
+        slope = slope.reshape(-1, 3)
+        slope[:, 2] *= [common.time_constant for common in commons]
+        return commons, square.ravel(), slope
 
     def _fit(
         self, current: Array, lost: Array, friction: Sequence[Array]
     ) -> tuple[Array, Array, Array]:
-        """Return Q (s,), slopes (s, 2), and which transitions are without friction (s,)."""
+        """Return Q (s,), slopes (s, 3), and which transitions are without friction (s,)."""
         square, slope, free, added = self._fit_columns(current, [lost], friction)
         gains = added > 0  # as no magnet does by heat
         if not gains.any():
@@ -266,7 +273,7 @@ class _Means:
     def _fit_columns(
         self, current: Array, lost: list[Array], friction: Sequence[Array]
     ) -> tuple[Array, Array, Array, Array]:
-        """Return Q (s,), slopes (s, 2), without friction (s,), and what heat adds (s,)."""
+        """Return Q (s,), slopes (s, 3), without friction (s,), and what heat adds (s,)."""
         smooth = np.stack([current, self._weight, self._step, *lost], axis=2)[None]
         saturation = (current * np.abs(current))[None, :, :, None]
         plain = np.broadcast_to(smooth, (len(friction[0]), *smooth.shape[1:]))
@@ -280,14 +287,15 @@ class _Means:
         square = np.where(level > LARGEST_FRICTION * self._span, np.inf, square)
         added = np.where(free, bare[..., 3, 0] @ self._share, found[..., 3, 0] @ self._share)
         # The ripple's i |i| averages out over angles; as a column it would take most of the slope.
-        slope, without = self._slopes(of_slid), self._slopes(of_smooth)
+        slope, without = (self._slopes(of, bool(lost)) for of in (of_slid, of_smooth))
         return square, np.where(free[:, None], without, slope), free, added
 
-    def _slopes(self, found: Array) -> Array:
-        """Return mean slope and trend (s, 2) from parameters (s, g, c, 2)."""
+    def _slopes(self, found: Array, heated: bool) -> Array:
+        """Return mean slope, its trend and g of (1), if `heated`, from parameters (s, g, c, 2)."""
         mean = found[..., 0, 0] @ self._share
-        trend: Array = np.stack([mean, np.sum(found[..., 0, 1], axis=1)], axis=1)
-        return trend
+        lost = found[..., 3, 0] @ self._share if heated else np.zeros(len(found))
+        slopes: Array = np.stack([mean, np.sum(found[..., 0, 1], axis=1), -lost / mean], axis=1)
+        return slopes
 
     def _least_squares(self, design: Array) -> tuple[Array, Array, Array]:
         """Return Q (s,) of the mean torque and parameters (s, g, c, 2) of designs (s, g, p, c); and

@@ -37,28 +37,39 @@ def outcome_of(
 
 def _results(found: Calibration, reading_relative_u: float) -> dict[str, Quantity]:
     linearity, slopes = found.linearity, found.slopes
-    gain = Component(CURRENT_READING, 1.0, "1", reading_relative_u, None, linearity.gain)
-    scatter = error_line("lack of fit and scatter", linearity.gain_u, "1", linearity.dof)
+
+    def current(value: float, unit: str, u: float, dof: float, name: str) -> Quantity:
+        gain = Component(CURRENT_READING, 1.0, "1", reading_relative_u, None, value)
+        return combined(value, unit, [error_line(name, u, unit, dof), gain])
+
     if slopes.hysteresis_dof > 0:
-        hysteresis = Quantity(slopes.hysteresis, "N m", slopes.hysteresis_u, slopes.hysteresis_dof)
+        arm = [
+            Component(name, 1.0, "1", found.components.get(name, 0.0), None, slopes.hysteresis)
+            for name in ("arm length", "gauge calibration")
+        ]
+        scatter = error_line("scatter", slopes.hysteresis_u, "N m", slopes.hysteresis_dof)
+        hysteresis = combined(slopes.hysteresis, "N m", [scatter, *arm])
     else:
         reason = "one staircase: no scatter"
         hysteresis = Quantity(slopes.hysteresis, "N m", reason=reason)
+    lack = "lack of fit and scatter"
+    heat_loss = [
+        error_line("scatter over the angles", slopes.steady_heating_u, "1/A2", slopes.heating_dof),
+        error_line("time constant of the winding", slopes.steady_heating_spread, "1/A2"),
+    ]
     results = {
         "torque_constant": found.torque_constant,
         "torque_constant_temperature_coefficient": found.coefficient,
         "torque_constant_mean": found.mean,
         "torque_constant_constant_error": found.constant_error,
         "torque_constant_ripple": found.ripple,
-        "amplifier_gain": combined(linearity.gain, "1", [scatter, gain]),
-        "amplifier_offset": Quantity(linearity.offset, "A", linearity.offset_u, linearity.dof),
-        "amplifier_linearity": Quantity(
-            linearity.deviation, "A", linearity.deviation_u, linearity.deviation_dof
+        "amplifier_gain": current(linearity.gain, "1", linearity.gain_u, linearity.dof, lack),
+        "amplifier_offset": current(linearity.offset, "A", linearity.offset_u, linearity.dof, lack),
+        "amplifier_linearity": current(
+            linearity.deviation, "A", linearity.deviation_u, linearity.deviation_dof, "scatter"
         ),
         "hysteresis_torque": hysteresis,
-        "winding_heat_loss": Quantity(
-            slopes.steady_heating, "1/A2", slopes.steady_heating_u, slopes.heating_dof
-        ),
+        "winding_heat_loss": combined(slopes.steady_heating, "1/A2", heat_loss),
     }
     return {name: quantity for name, quantity in results.items() if quantity is not None}
 

@@ -22,6 +22,9 @@ LEVEL_TOLERANCE = 1e-3
 SWING_PARTS = 96
 """Parts of a plateau's time that resolve the arm's swing after each step."""
 
+ALIKE = 3.0
+"""Standard uncertainties within which deviations of levels could each be the largest."""
+
 MINIMUM_PLATEAUS = 8
 """Smallest number of plateaus in a recording."""
 
@@ -99,7 +102,8 @@ def plateaus_of_set_point(
     if np.count_nonzero(keep) < MINIMUM_PLATEAUS:
         raise InsufficientDataError(
             f"the current set point has {np.count_nonzero(keep)} plateaus longer than the "
-            f"{settle_time:g} s of settling, {MINIMUM_PLATEAUS} are needed: hold each step longer"
+            f"{settle_time:g} s of settling, {MINIMUM_PLATEAUS} are needed: hold each step longer, "
+            "or record more often"
         )
 
     def mean(values: Array) -> Array:
@@ -212,8 +216,10 @@ class Linearity:
 def amplifier_linearity(plateaus: Plateaus) -> Linearity:
     """Fit the amplifier's DC characteristic through the means of each level [7.1.1].
 
-    `deviation` is the largest distance of a level's mean from the line, A. Raises
-    `InsufficientDataError` for fewer than 3 levels.
+    `deviation` is the largest distance of a level's mean from the line, A: where many are as large
+    within scatter, up to sqrt(2 ln n) standard uncertainties too large on average (M. R. Leadbetter
+    et al., Extremes and Related Properties of Random Sequences, 1983, section 1.5), which is in its
+    uncertainty. Raises `InsufficientDataError` for fewer than 3 levels.
     """
     step = LEVEL_TOLERANCE * float(np.ptp(plateaus.current_setpoint))
     order = np.argsort(plateaus.current_setpoint, kind="stable")
@@ -239,6 +245,9 @@ def amplifier_linearity(plateaus: Plateaus) -> Linearity:
     square, square_dof = max(lack, (scatter / dof / count.mean(), dof))
     u = math.sqrt(square) * np.sqrt(np.sum(inverse**2, axis=1))
     worst = int(np.argmax(np.abs(deviations)))
+    level_u = math.sqrt(scatter / dof / count[worst])
+    # The largest of n alike is too large by scatter, by up to sqrt(2 ln n) u on average.
+    alike = np.count_nonzero(np.abs(deviations) >= abs(deviations[worst]) - ALIKE * level_u)
     return Linearity(
         gain=float(gain),
         gain_u=float(u[0]),
@@ -246,7 +255,7 @@ def amplifier_linearity(plateaus: Plateaus) -> Linearity:
         offset_u=float(u[1]),
         dof=square_dof,
         deviation=float(abs(deviations[worst])),
-        deviation_u=math.sqrt(scatter / dof / count[worst]),
+        deviation_u=level_u * math.sqrt(1 + 2 * math.log(alike)),
         deviation_dof=dof,
         current_setpoint=setpoint,
         current=current,

@@ -35,6 +35,12 @@ SLOPE_LIMIT = 0.25
 SAME_TEMPERATURE = 2.0
 """Range of staircases that count as one temperature, K."""
 
+LEAST_RISE, FEWEST_TOP_LEVELS = 0.5, 2
+"""Slope of the top quarter of a staircase relative to its middle, and levels that show it."""
+
+SURE = 4.0
+"""Standard uncertainties by which a slope must be off to be refused."""
+
 LARGE_FRICTION = 0.03
 """Friction, relative to the span of the torque, that may change a slope by `SLOPE_LIMIT`."""
 
@@ -54,7 +60,8 @@ class Slopes:
     (m,) in degC, weighted as the slope weights its plateaus; `rotor_angle` (m,) in rad.
     `heating` is the relative amount by which heat in the winding lowered the slopes on average,
     `heating_u` its standard uncertainty with `heating_dof`; `steady_heating` 1/A2 is what a current
-    lowers the constant by that flows for long, times its square; `friction_u` the relative standard
+    lowers the constant by that flows for long, times its square, `steady_heating_u` its u from
+    scatter and `steady_heating_spread` that from tau; `friction_u` the relative standard
     uncertainty from the model of friction with `friction_dof`, `friction_share` the
     relative part by which friction changes a straight line's slope; `resolution_u` that from the
     resolution of the gauge; `trend_u` in N m/(A K) is what both give a change with temperature.
@@ -75,6 +82,7 @@ class Slopes:
     heating_dof: float
     steady_heating: float
     steady_heating_u: float
+    steady_heating_spread: float
     friction_u: float
     friction_dof: float
     friction_share: float
@@ -125,8 +133,9 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         heating=solution.heating,
         heating_u=solution.heating_u,
         heating_dof=solution.heating_dof,
-        steady_heating=solution.loss * hypotheses.best.time_constant,
+        steady_heating=hypotheses.loss,
         steady_heating_u=solution.loss_u * hypotheses.best.time_constant,
+        steady_heating_spread=hypotheses.loss_spread,
         friction_u=math.hypot(u, hypotheses.spread) / constant,
         friction_dof=dof,
         friction_share=share,
@@ -150,10 +159,15 @@ def _about(stairs: Stairs) -> float:
     degc = mean_of(stairs.temperature, stairs.weight)
     if np.ptp(degc) <= SAME_TEMPERATURE:
         return 0.0
-    off = (stairs.current - mean_of(stairs.current, stairs.weight)[:, None]) * stairs.weight
-    lines = np.sum(off * stairs.torque, axis=1) / np.sum(off**2, axis=1)
-    slope, middle = np.polyfit(degc - degc.mean(), lines, 1).tolist()
+    slope, middle = np.polyfit(degc - degc.mean(), _lines(stairs), 1).tolist()
     return float(slope / middle)
+
+
+def _lines(stairs: Stairs) -> Array:
+    """Return the slope of a straight line through each staircase (m,), N m/A."""
+    off = (stairs.current - mean_of(stairs.current, stairs.weight)[:, None]) * stairs.weight
+    lines: Array = np.sum(off * stairs.torque, axis=1) / np.sum(off**2, axis=1)
+    return lines
 
 
 @dataclass(frozen=True)
@@ -167,7 +181,6 @@ class _Solution:
     heating: float
     heating_u: float
     heating_dof: float
-    loss: float
     loss_u: float
     fit: _LeastSquares
     off_line: Array
@@ -203,7 +216,6 @@ def _solve(stairs: Stairs, common: Common, coefficient: float, rise: Array) -> _
         heating=loss * share,
         heating_u=loss_u * share,
         heating_dof=loss_dof,
-        loss=loss,
         loss_u=loss_u,
         fit=fit,
         off_line=stairs.torque - current * fit.own[:, :1] - stairs.weight * fit.own[:, 1:2],
@@ -321,7 +333,7 @@ def _require_resolution(plateaus: Plateaus) -> None:
         raise InsufficientDataError(
             f"the gauge reads in steps of {step * 1e3:.3g} mN m at the arm, the staircase has "
             f"{span * 1e3:.3g} mN m: fewer than {FEWEST_STEPS} steps; take a finer gauge, a "
-            "longer arm or a higher current_max"
+            "shorter arm or a higher current_max"
         )
 
 
@@ -350,6 +362,13 @@ def _require_straight(stairs: Stairs, solution: _Solution) -> None:
             f"torque changes by {straight:.3g} N m/A with current: reverse the sign of the "
             "gauge or of the current, so that positive current gives positive force"
         )
+    _require_alike(stairs, solution)
+    current, level = _levels(stairs)
+    residual = solution.fit.residual
+    mean, count = _by_level(level, residual, stairs.weight)
+    square, _ = _by_level(level, residual**2, stairs.weight)
+    u = np.sqrt(np.maximum(square - mean**2, 0) / np.maximum(count - 1, 1))
+    _require_rise_to_top(stairs, u)
     change = abs(float(np.mean(solution.slope)) / straight - 1)
     if change > SLOPE_LIMIT:
         raise InsufficientDataError(
@@ -357,11 +376,6 @@ def _require_straight(stairs: Stairs, solution: _Solution) -> None:
             f"{np.mean(solution.slope):.3g} N m/A once friction and heat are taken out; they may "
             f"change it by {SLOPE_LIMIT:.0%}: {_too_much(stairs, solution)}"
         )
-    residual = solution.fit.residual
-    current, level = _levels(stairs)
-    mean, count = _by_level(level, residual, stairs.weight)
-    square, _ = _by_level(level, residual**2, stairs.weight)
-    u = np.sqrt(np.maximum(square - mean**2, 0) / np.maximum(count - 1, 1))
     limit = max(MISFIT_LIMIT * float(np.ptp(stairs.torque)), stairs.resolution)
     worst = int(np.argmax(np.abs(mean)))
     if abs(mean[worst]) > max(limit, 4 * u[worst]):
@@ -372,6 +386,44 @@ def _require_straight(stairs: Stairs, solution: _Solution) -> None:
         )
 
 
+def _require_alike(stairs: Stairs, solution: _Solution) -> None:
+    """Raise where a staircase has a slope of its own: temperature and ripple change it by less."""
+    lines = _lines(stairs)
+    usual = float(np.median(lines))
+    off = np.abs(lines - usual)
+    worst = int(np.argmax(off - SURE * solution.u))
+    if off[worst] > SLOPE_LIMIT * abs(usual) + SURE * solution.u[worst]:
+        raise InsufficientDataError(
+            f"staircase {worst} (of {len(lines)}, from 0) at {stairs.rotor_angle[worst]:.3g} rad, "
+            f"{stairs.temperature[worst, 0]:.3g} degC: torque follows current by "
+            f"{lines[worst]:.3g} N m/A, by {usual:.3g} in the middle of all; they may differ by "
+            f"{SLOPE_LIMIT:.0%}: see to the gauge's cable and the arm's clamp, and measure again"
+        )
+
+
+def _require_rise_to_top(stairs: Stairs, level_u: Array) -> None:
+    """Raise where the torque of rising staircases stops rising with the current.
+
+    Friction makes it flat after each turn of the current, thus at the bottom. `level_u` (l,) is the
+    standard uncertainty of the torque at each level, N m.
+    """
+    current, torque, _ = _branches(stairs, stairs.torque)
+    quarter = len(current) // 4
+    if quarter < FEWEST_TOP_LEVELS:
+        return
+    below, top = slice(quarter, -quarter), slice(-quarter - 1, None)
+    usual, last = (float(np.polyfit(current[a], torque[a], 1)[0]) for a in (below, top))
+    spread = float(np.var(current[top])) * (quarter + 1)
+    u = math.sqrt(float(np.mean(level_u**2)) / spread)
+    if last < LEAST_RISE * usual - SURE * u:
+        raise InsufficientDataError(
+            f"torque rises with current by {usual:.3g} N m/A, from "
+            f"{current[-quarter - 1]:.3g} A on by {last:.3g} N m/A, at least {LEAST_RISE:.0%} of "
+            "that is needed: the gauge is saturated, the arm at an end stop, or the amplifier at "
+            "its limit; lower current_max"
+        )
+
+
 def _too_much(stairs: Stairs, solution: _Solution) -> str:
     """Return why friction and heat may seem to change a slope by too much, and the remedy."""
     span = float(np.ptp(stairs.torque))
@@ -379,7 +431,7 @@ def _too_much(stairs: Stairs, solution: _Solution) -> str:
         return (
             f"the gauge reads in steps of {stairs.resolution * 1e3:.3g} mN m at the arm, too "
             f"coarse to separate friction from torque in a staircase of {span * 1e3:.3g} mN m; "
-            "take a finer gauge, a longer arm or a higher current_max"
+            "take a finer gauge, a shorter arm or a higher current_max"
         )
     friction = _hysteresis(stairs, solution.off_line)[0] / 2
     if friction > LARGE_FRICTION * span:

@@ -272,10 +272,13 @@ def _ripple(found: AngleEffects, value: float, slopes: Slopes, *, known: bool) -
     carried = _carried(slopes) if known else 0.0
     more = math.hypot(deviation, carried) - deviation  # of phases that have nothing in common
     rounding = value * slopes.resolution_u
-    model = math.hypot(path, own, more, ALIKE * carried, rounding)
-    u = math.hypot(found.deviation_u, model)
-    dof = found.deviation_dof * (u / found.deviation_u) ** 4  # Welch and Satterthwaite
-    return Quantity(deviation / value, "1", u / value, dof)
+    lines = [
+        error_line("scatter", found.deviation_u / value, "1", found.deviation_dof),
+        error_line("path of friction", path / value, "1"),
+        error_line("deflection of the arm", math.hypot(own, more, ALIKE * carried) / value, "1"),
+        error_line("gauge resolution", rounding / value, "1"),
+    ]
+    return combined(deviation / value, "1", lines)
 
 
 def _carried(slopes: Slopes) -> float:

@@ -160,7 +160,7 @@ def test_sixteen_samples_are_the_fewest():
     ramp = {"time": time, "angle": 10 * np.maximum(time - 12, 0), "torque": 1e-3 * time}
     (found,) = find_ramps(**ramp, threshold=0.02)
     assert found.end == 16
-    with pytest.raises(InsufficientDataError, match=r"15 samples .* 16 are needed"):
+    with pytest.raises(InsufficientDataError, match=r"16 samples or.* has 15.*breakaway_angle"):
         find_ramps(**{name: values[:15] for name, values in ramp.items()}, threshold=0.02)
 
 

@@ -348,3 +348,6 @@ def test_a_note_states_why_holds_are_left_out():
     assert "encoder's steps" in notes[1]
     (unknown,) = fit_holds([every])[2]
     assert "at 0.2, 0.3, 0.6 rad/s" in unknown
+    slow = every[np.abs(speed) < 1.5]
+    with pytest.raises(InsufficientDataError, match=r"starts and stops.*encoder's steps.*separate"):
+        fit_holds([slow], 0.09 / np.abs(slow.speed))

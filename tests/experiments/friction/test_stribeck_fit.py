@@ -374,6 +374,13 @@ def test_a_healthy_amplifier_passes(gain, offset):
     require_linear_at_low_current(current_setpoint=setpoint, current=current, friction_current=0.05)
 
 
+def test_noise_of_the_current_reading_is_not_blamed_on_the_amplifier():
+    rng = np.random.default_rng(1)
+    setpoint = 0.05 + 0.02 * rng.standard_normal(20000)
+    current = setpoint + 0.2 * rng.standard_normal(20000)
+    require_linear_at_low_current(current_setpoint=setpoint, current=current, friction_current=0.05)
+
+
 def test_an_amplifier_with_steps_is_refused():
     rng = np.random.default_rng(1)
     setpoint = 0.05 + 0.02 * rng.standard_normal(20000)

@@ -70,6 +70,24 @@ def test_the_uncertainty_is_that_of_repeated_experiments():
     assert np.sqrt(np.mean([run.rms_u**2 for run in found])) == pytest.approx(spread, rel=0.35)
 
 
+def test_rms_and_peak_of_several_speeds_have_the_jackknife_written_out():
+    rng, learning = np.random.default_rng(3), identity(1.0)
+    signals = [size * (DISTURBANCE + 0.3 * rng.standard_normal((5, POINTS))) for size in (1, 1.02)]
+    judged = learning_run(
+        [Cycles(0.256, signal, np.zeros(POINTS), EVERYTHING) for signal in signals], learning, 0
+    )
+    smoothed = [learning.smoothed(signal, 0.256) for signal in signals]
+    for found, statistic in (
+        (judged.peak_u, lambda means: np.abs(means).max()),
+        (judged.rms_u, lambda means: np.sqrt(np.mean(means**2))),
+    ):
+        without = [
+            statistic(np.array([np.delete(each, i, axis=0).mean(axis=0) for each in smoothed]))
+            for i in range(5)
+        ]
+        assert found == pytest.approx(np.sqrt(4 * np.var(without)), rel=1e-9, abs=0)
+
+
 def test_only_the_part_that_is_used_counts():
     half = EVERYTHING.copy()
     half[POINTS // 2 :] = False

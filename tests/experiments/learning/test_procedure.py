@@ -301,8 +301,8 @@ def test_a_broken_table_is_refused(learned):
             lookup_table_from(stand_in)
 
 
-@pytest.mark.parametrize("name", ["A", "C"])
-def test_a_run_without_known_loads_is_not_analysed_as_if_it_had_them(name):
+@pytest.mark.parametrize(("asked", "name"), [("D", "A"), ("D", "C"), ("B", "C"), ("C", "B")])
+def test_a_run_of_one_implementation_is_not_analysed_as_another(asked, name):
     recipe, _ = load_recipe(RECIPE, [f"ilc_learn.implementation={name}"])
-    with pytest.raises(UsageError, match=f"recorded with implementation {name}, without known"):
-        ilc_learn.BY_LOAD.analyse([SimpleNamespace(path="c.h5")], recipe, kt=None)
+    with pytest.raises(UsageError, match=f"{asked}: c.h5 was recorded with implementation {name}"):
+        ilc_learn.of_stored(asked).analyse([SimpleNamespace(path="c.h5")], recipe, kt=None)

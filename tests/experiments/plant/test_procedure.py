@@ -264,7 +264,7 @@ def test_torque_constant_at_the_temperature_of_the_motor(kt, folder):
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (("identify_plant.swing=0.003",), r"lines have a coherence .* raise identify_plant.swing"),
+        (("identify_plant.swing=0.003",), r"lines have a coherence .* raise identify_plant.speeds"),
         (("rig.current_limit=0.9", "identify_plant.current_share=0.99"), "reaches the limit"),
     ],
 )
@@ -381,3 +381,28 @@ def test_strokes_turn_the_excitation_over():
     cycle = 2 * motion.stroke_time / recipe.rig.sample_time
     assert cycle == pytest.approx(half, abs=1e-6)
     assert motion.cycles % 2 == 0
+
+
+@pytest.mark.parametrize(
+    ("turning", "excited", "answer", "message"),
+    [
+        (7.0, 2.0, 2.0, r"turning alone takes 6.\d* A; lower identify_plant.speeds"),
+        (
+            1.0,
+            5.0,
+            5.0,
+            r"torque: lower identify_plant.current_share or swing, or raise",
+        ),
+        (1.0, 0.1, 12.0, "so the loop shakes"),
+    ],
+    ids=["motion", "excitation", "unstable"],
+)
+def test_a_refusal_names_what_takes_the_current(turning, excited, answer, message):
+    recipe, _ = load_recipe(RECIPE)
+    time = np.arange(8000)
+    signal = excited * np.sin(2 * np.pi * time / 50)
+    swing = answer * np.sin(2 * np.pi * time / 125)
+    asked = np.where(time < 4000, turning, -turning) + signal + swing
+    limit = recipe.rig.current_limit
+    with pytest.raises(InsufficientDataError, match=message):
+        identify_plant._require_unlimited(np.clip(asked, -limit, limit), signal, recipe)

@@ -1,5 +1,7 @@
 """Ripple by order: closed forms, scipy, and properties."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,6 +13,7 @@ from rigtool.experiments.ripple.orders import (
     Ripple,
     Sampling,
     Spectrum,
+    cell_centres,
     compare,
     remove_offset,
     spectrum,
@@ -195,6 +198,16 @@ def test_uncertainty_of_a_comparison_is_its_scatter():
         assert stated == pytest.approx(scatter, rel=0.35, abs=0)
     assert np.mean([item.shift for item in found]) == pytest.approx(0.2 * np.pi, rel=0.01, abs=0)
     assert found[0].dof == 19
+
+
+def test_a_shift_that_scatters_widely_has_the_jackknife_written_out():
+    angle, spread = cell_centres(500), 0.72
+    reference = Ripple(np.tile(1e-3 * np.cos(angle), (3, 1)))
+    other = Ripple(1e-3 * np.cos(angle - 3.0 - np.array([[-spread], [0.0], [spread]])))
+    found = compare(reference, other, 4)
+    # two of them together are shifted by their mean: by half the spread, one way or the other, or 0
+    assert abs(found.shift) == pytest.approx(3.0, rel=0, abs=0.01)
+    assert found.shift_u == pytest.approx(math.sqrt(2 / 3 * 2) * spread / 2, rel=0.01, abs=0)
 
 
 def test_noise_cannot_be_compared():

@@ -1,5 +1,7 @@
 """Torque constants from plateaus and ramps of drawn motors: u covers the error."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import t as student
@@ -150,3 +152,14 @@ def test_ramps_with_friction_that_turns_at_once_and_slow_ripple(ripple):
         errors.append((fit.constant - constant) / fit.constant_u)
         assert abs(fit.constant / constant - 1) < 0.008 + 2.5 * ripple
     assert np.max(np.abs(errors)) < 2.5
+
+
+def test_a_clamped_shaft_that_leaped_once_does_not_turn():
+    _, recorded = draw("staircase", 1)
+    speed = 1e-4 * np.random.default_rng(1).normal(size=len(recorded.time))
+    speed[200:230] = 1.0
+    fit, plain = (
+        fit_constant([find_points(each)]) for each in (replace(recorded, speed=speed), recorded)
+    )
+    assert not fit.turning
+    assert fit.constant == pytest.approx(plain.constant, rel=1e-9, abs=0)

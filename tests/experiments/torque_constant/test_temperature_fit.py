@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import GTC
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.testing import assert_allclose
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.staircase import amplifier_linearity, plateaus_of_set_point
+from rigtool.experiments.torque_constant.staircase_fit import fit_staircases
 from rigtool.experiments.torque_constant.temperature_fit import Calibration, _ripple, calibrate
 from rigtool.numerics.angle_effects import AngleEffects
 from rigtool.numerics.turn_mean import mean_over_turn
@@ -250,6 +252,21 @@ def test_a_drift_within_the_staircases_is_taken_out_of_the_torque():
     assert (found.slopes.u < 2.5e-5 * found.mean.value).all()
 
 
+@pytest.mark.parametrize("bench", [Bench(), Bench(heating=0.05, time_constant=4.0)])
+def test_the_loss_by_a_steady_current_is_as_uncertain_as_the_time_constant(bench):
+    """A staircase of 4 s shows a winding of 4 s; of one of 29 s it shows how fast it warms."""
+    plateaus = [
+        plateaus_of_set_point(**bench.record(), arm_length=bench.arm_length, settle_time=settle)
+        for settle in (bench.settle_time, bench.settle_time + bench.sample_time)
+    ]
+    one, other = (fit_staircases(each) for each in plateaus)
+    u = math.hypot(one.steady_heating_u, one.steady_heating_spread)
+    true = -bench.coefficient * bench.heating * bench.time_constant
+    assert abs(one.steady_heating - true) < 2 * u
+    assert abs(one.steady_heating - other.steady_heating) < u  # one sample of settling
+    assert (one.steady_heating_spread > 0.3 * true) == (bench.time_constant > 20)
+
+
 def test_one_rotor_angle_leaves_the_heat_unknown():
     bench = Bench(ripple=(), saturation=0.0)
     found = analyse(bench, bench.record((20, 35, 50), angles=1, shifted=False))
@@ -358,6 +375,27 @@ def test_linearity_finds_the_worst_level():
     # levels off the line set the uncertainty of the line; that of a level comes from its repeats
     assert found.dof == len(x) - 2
     assert found.deviation_dof == len(plateaus.current) - len(x)
+    # one level is the worst beyond doubt
+    level = np.searchsorted(x + 1e-6, plateaus.current_setpoint)
+    scatter = (
+        plateaus.current - np.bincount(level, plateaus.current)[level] / np.bincount(level)[level]
+    )
+    at_worst = np.count_nonzero(level == np.argmax(np.abs(found.deviations)))
+    u = np.sqrt(np.sum(scatter**2) / found.deviation_dof / at_worst)
+    assert_allclose(found.deviation_u, u, rtol=1e-9)
+
+
+def test_the_largest_of_deviations_by_chance_is_no_larger_than_its_uncertainty_explains():
+    rng = np.random.default_rng(91001)
+    levels, repeats, pulls = 17, 8, []
+    for _ in range(200):
+        setpoint = np.tile(np.linspace(0, 4, levels), repeats)
+        plateaus = SimpleNamespace(
+            current_setpoint=setpoint, current=setpoint + 1e-4 * rng.standard_normal(setpoint.size)
+        )
+        found = amplifier_linearity(plateaus)
+        pulls.append(found.deviation / found.deviation_u)
+    assert np.mean(np.array(pulls) < 1.96) > 0.99
 
 
 @pytest.mark.parametrize(
@@ -368,7 +406,14 @@ def test_linearity_finds_the_worst_level():
         (Bench(), {"current": lambda s: 1e3 * s}, "in another unit"),
         (Bench(), {"current_setpoint": lambda s: 0 * s}, "throughout"),
         (Bench(), {"force": lambda s: -s}, "reverse the sign"),
-        (Bench(), {"force": lambda s: np.minimum(s, 0.25)}, "not linear"),
+        (Bench(), {"force": lambda s: np.minimum(s, 0.25)}, "gauge is saturated"),
+        (Bench(friction=15e-3), {"force": lambda s: np.minimum(s, 0.2)}, "gauge is saturated"),
+        (Bench(), {"force": lambda s: s - 0.2 * np.maximum(s - 0.15, 0)}, "not linear there"),
+        (
+            Bench(),
+            {"force": lambda s: s * (np.arange(len(s)) < 0.7 * len(s))},
+            "staircase .*gauge's cable",
+        ),
         (Bench(), {"force": lambda s: 0 * s + 0.1}, "54 mN m at the arm whatever the current"),
         (Bench(), {"force": lambda s: np.round(s, 1)}, "in steps of 54 mN m at the arm"),
         (Bench(), {"force": lambda s: np.where(np.arange(len(s)) == 77, np.nan, s)}, "sample 77"),
@@ -382,7 +427,10 @@ def test_linearity_finds_the_worst_level():
         "milliamperes",
         "constant",
         "sign",
+        "saturated",
+        "saturated, with friction",
         "end stop",
+        "cable",
         "still",
         "coarse",
         "nan",

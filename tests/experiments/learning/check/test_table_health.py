@@ -238,3 +238,14 @@ def test_a_shift_with_other_friction_is_not_mended_by_the_shift():
         assert "a shift alone is not enough: learn again" in table_verdict(found, 4000)
     found = checked(table, u, now(table, shift=0.5))
     assert "not enough" not in table_verdict(found, 4000)
+
+
+def test_the_noise_of_the_table_adds_to_that_of_the_moves():
+    table, u = learned()
+    rows = now(table)
+    stated = [checked(table, factor * u, rows).friction.u for factor in (0.0, 2.0, 4.0)]
+    added = [(found / stated[0]) ** 2 - 1 for found in stated[1:]]
+    assert added[1] == pytest.approx(4 * added[0], rel=1e-9, abs=0)
+    # u2 of the table over the variance of a mean, both of half the moves' two directions
+    mean = np.mean([row.moves.var(axis=0, ddof=1).mean() / MOVES for row in rows])
+    assert added[0] == pytest.approx(float((2 * u[0, 0]) ** 2) / mean, rel=0.2, abs=0)
