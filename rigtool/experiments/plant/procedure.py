@@ -108,8 +108,8 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run | None = None) -> Ou
 def _torque_constant(recording: Recording, kt: Run | None) -> Quantity | None:
     """Return the torque for each ampere at the recording's temperature; None without --kt.
 
-    The winding is warmer than the housing by what its current heats it. By how much the constant
-    is lower then is a line of the budget: how long the current must flow for it is hardly known.
+    The winding is warmer than the housing by what its current heats it: between nothing and the
+    steady state. Half of what that lowers the constant by is taken off, and a line of the budget.
     """
     if kt is None:
         return None
@@ -117,9 +117,9 @@ def _torque_constant(recording: Recording, kt: Run | None) -> Quantity | None:
     if "winding_heat_loss" not in kt.results:
         return constant
     square = float(np.mean(recording.read("signal_current").astype(np.float64) ** 2))
-    loss = constant.value * kt.result("winding_heat_loss", "1/A2").value * square
-    heat = error_line("heat of the winding", loss, constant.unit)
-    return combined(constant.value, constant.unit, [*constant.budget, heat])
+    half = constant.value * kt.result("winding_heat_loss", "1/A2").value * square / 2
+    heat = error_line("heat of the winding", half, constant.unit)
+    return combined(constant.value - half, constant.unit, [*constant.budget, heat])
 
 
 def _experiments(recording: Recording, recipe: Recipe, torque_constant: float) -> list[Experiment]:

@@ -57,6 +57,9 @@ COARSE, FINE = (16, 6, 3, 5), (7, 4, 5, 4)
 FINER_GRIDS = 3
 """Grids that each cover the best of the one before."""
 
+TAU_STEP = 0.5
+"""Distance of the values of tau that are tried, logarithm: finer grids hold the middles."""
+
 SHORTER_LAG = 12.0
 """Ratio of the longest lag of the arm's swings to the shortest."""
 
@@ -70,7 +73,9 @@ class Hypotheses:
 
     `stairs` have courses without noise. `constant` in N m/A is the mean of all hypotheses on the
     mean staircases, `spread` their standard deviation, `drift` in N m/(A K) that of the constants'
-    change with temperature.
+    change with temperature. A current that flows for long lowers the constant by a part of its
+    square; `heat_spread` in 1/A2 is how far that part is from the best hypothesis's, root mean
+    square.
     """
 
     stairs: Stairs
@@ -78,6 +83,7 @@ class Hypotheses:
     constant: float
     spread: float
     drift: float
+    heat_spread: float
 
 
 def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypotheses:
@@ -102,17 +108,18 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
     probable = tried.volume * (tried.square / tried.square[number]) ** (-count / 2)
     probable /= probable.sum()
     mean = probable @ tried.slope
-    spread = np.sqrt(probable @ (tried.slope - mean) ** 2)
-    best, constant = tried.commons[number], float(mean[0])
-    return Hypotheses(means.stairs, best, constant, float(spread[0]), float(spread[1]))
+    mean[2] = tried.slope[number, 2]
+    spreads = np.sqrt(probable @ (tried.slope - mean) ** 2).tolist()
+    return Hypotheses(means.stairs, tried.commons[number], float(mean[0]), *spreads)
 
 
 @dataclass(frozen=True)
 class _Tried:
     """Hypotheses (n,), at places (n, 3 or 4) of a grid, and what they leave.
 
-    `volume` (n,) is the part of the grid that each represents, `square` (n,) is Q, `slope` (n, 2)
-    the mean of the torque constants and their change with temperature.
+    `volume` (n,) is the part of the grid that each represents, `square` (n,) is Q, `slope` (n, 3)
+    the mean of the torque constants, their change with temperature, and what a steady current
+    lowers them by, 1/A2.
     """
 
     commons: list[Common]
@@ -205,11 +212,11 @@ class _Means:
         return np.stack([values[those].mean(axis=0) for those in self._members])
 
     def _thermal(self, time_constant: float) -> tuple[Array, Array]:
-        """Return current, warmed, and its loss by heat, (2, g, p)."""
+        """Return current, warmed, and its loss by heat over tau, (2, g, p)."""
         heat, warmth = winding(self.stairs, time_constant)
         drift = warmth - mean_of(warmth, self.stairs.weight)[:, None]
         current = self.stairs.current * (1 + self._coefficient * drift)
-        return self._mean(current), self._mean(current * heat)
+        return self._mean(current), self._mean(current * heat) / time_constant
 
     def _ways(self, lags: Sequence[float | None]) -> list[Array]:
         """Return the path of each lag; None alone, there is no lag, has that of straight steps."""
@@ -226,7 +233,7 @@ class _Means:
         return -a * self._weight, -b * self._weight  # (..., g, p)
 
     def try_all(self, axes: list[Array]) -> tuple[list[Common], Array, Array]:
-        """Return all hypotheses of a grid, their Q (n,) and slopes (n, 2): mean and trend."""
+        """Return all hypotheses of a grid, their Q (n,) and slopes (n, 3): see `_Tried`."""
         transition, tau, exponents = (np.exp(axis) for axis in axes[:3])
         lags: list[float | None] = [None]
         if len(axes) > 3:
@@ -249,12 +256,12 @@ class _Means:
                 product(transition, tau, exponents, lags), free.ravel(), strict=True
             )
         ]
-        return commons, square.ravel(), slope.reshape(-1, 2)
+        return commons, square.ravel(), slope.reshape(-1, 3)
 
     def _fit(
         self, current: Array, lost: Array, friction: Sequence[Array]
     ) -> tuple[Array, Array, Array]:
-        """Return Q (s,), slopes (s, 2), and which transitions are without friction (s,)."""
+        """Return Q (s,), slopes (s, 3), and which transitions are without friction (s,)."""
         square, slope, free, added = self._fit_columns(current, [lost], friction)
         gains = added > 0  # as no magnet does by heat
         if not gains.any():
@@ -266,7 +273,7 @@ class _Means:
     def _fit_columns(
         self, current: Array, lost: list[Array], friction: Sequence[Array]
     ) -> tuple[Array, Array, Array, Array]:
-        """Return Q (s,), slopes (s, 2), without friction (s,), and what heat adds (s,)."""
+        """Return Q (s,), slopes (s, 3), without friction (s,), and what heat adds (s,)."""
         smooth = np.stack([current, self._weight, self._step, *lost], axis=2)[None]
         saturation = (current * np.abs(current))[None, :, :, None]
         plain = np.broadcast_to(smooth, (len(friction[0]), *smooth.shape[1:]))
@@ -280,8 +287,9 @@ class _Means:
         square = np.where(level > LARGEST_FRICTION * self._span, np.inf, square)
         added = np.where(free, bare[..., 3, 0] @ self._share, found[..., 3, 0] @ self._share)
         # The ripple's i |i| averages out over angles; as a column it would take most of the slope.
-        slope, without = self._slopes(of_slid), self._slopes(of_smooth)
-        return square, np.where(free[:, None], without, slope), free, added
+        slope = np.where(free[:, None], self._slopes(of_smooth), self._slopes(of_slid))
+        heat = -added / slope[:, 0] if lost else np.zeros(len(slope))
+        return square, np.column_stack([slope, heat]), free, added
 
     def _slopes(self, found: Array) -> Array:
         """Return mean slope and trend (s, 2) from parameters (s, g, c, 2)."""

@@ -44,6 +44,10 @@ def _results(found: Calibration, reading_relative_u: float) -> dict[str, Quantit
     else:
         reason = "one staircase: no scatter"
         hysteresis = Quantity(slopes.hysteresis, "N m", reason=reason)
+    heat = [
+        error_line("scatter over the angles", slopes.steady_heating_u, "1/A2", slopes.heating_dof),
+        error_line("time constant of the winding", slopes.steady_spread, "1/A2"),
+    ]
     results = {
         "torque_constant": found.torque_constant,
         "torque_constant_temperature_coefficient": found.coefficient,
@@ -56,9 +60,7 @@ def _results(found: Calibration, reading_relative_u: float) -> dict[str, Quantit
             linearity.deviation, "A", linearity.deviation_u, linearity.deviation_dof
         ),
         "hysteresis_torque": hysteresis,
-        "winding_heat_loss": Quantity(
-            slopes.steady_heating, "1/A2", slopes.steady_heating_u, slopes.heating_dof
-        ),
+        "winding_heat_loss": combined(slopes.steady_heating, "1/A2", heat),
     }
     return {name: quantity for name, quantity in results.items() if quantity is not None}
 

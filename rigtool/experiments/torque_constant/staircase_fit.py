@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.torque_constant.hypotheses import weigh_hypotheses
+from rigtool.experiments.torque_constant.hypotheses import TAU_STEP, weigh_hypotheses
 from rigtool.experiments.torque_constant.staircase import LEVEL_TOLERANCE, Plateaus
 from rigtool.experiments.torque_constant.staircase_model import (
     Common,
@@ -54,8 +54,9 @@ class Slopes:
     (m,) in degC, weighted as the slope weights its plateaus; `rotor_angle` (m,) in rad.
     `heating` is the relative amount by which heat in the winding lowered the slopes on average,
     `heating_u` its standard uncertainty with `heating_dof`; `steady_heating` 1/A2 is what a current
-    lowers the constant by that flows for long, times its square; `friction_u` the relative standard
-    uncertainty from the model of friction with `friction_dof`, `friction_share` the
+    lowers the constant by that flows for long, times its square, `steady_heating_u` its standard
+    uncertainty from scatter, `steady_spread` from the time constant; `friction_u` the relative
+    standard uncertainty from the model of friction with `friction_dof`, `friction_share` the
     relative part by which friction changes a straight line's slope; `resolution_u` that from the
     resolution of the gauge; `trend_u` in N m/(A K) is what both give a change with temperature.
     `transition` is s of (1) in N m (None where no friction shows), `exponent` that of its law,
@@ -75,6 +76,7 @@ class Slopes:
     heating_dof: float
     steady_heating: float
     steady_heating_u: float
+    steady_spread: float
     friction_u: float
     friction_dof: float
     friction_share: float
@@ -109,6 +111,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     solution = _solve(stairs, hypotheses.best, coefficient, rise)
     constant = hypotheses.constant
     share = abs(_straight_slope(stairs) / constant - 1 + solution.heating)
+    steady = solution.loss * hypotheses.best.time_constant
     u, dof = _lack_of_fit(stairs, solution, average)
     trend_u, _ = _lack_of_fit(stairs, solution, trend)
     _require_straight(stairs, solution)
@@ -125,8 +128,9 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         heating=solution.heating,
         heating_u=solution.heating_u,
         heating_dof=solution.heating_dof,
-        steady_heating=solution.loss * hypotheses.best.time_constant,
+        steady_heating=steady,
         steady_heating_u=solution.loss_u * hypotheses.best.time_constant,
+        steady_spread=math.hypot(hypotheses.heat_spread, steady * TAU_STEP / math.sqrt(12)),
         friction_u=math.hypot(u, hypotheses.spread) / constant,
         friction_dof=dof,
         friction_share=share,

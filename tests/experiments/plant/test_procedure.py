@@ -198,7 +198,7 @@ def test_the_response_and_its_fit_state_their_degrees_of_freedom(pulley, kt):
     assert (fit["dof"] > count - 1).all()
 
 
-def test_heat_of_the_winding_is_in_the_budget(pulley, folder):
+def test_half_of_the_windings_heat_is_taken_off_and_in_the_budget(pulley, folder):
     path, before = pulley
     warmed = folder / "warmed.h5"
     with RunWriter(warmed, command="calibrate-kt", recipe=None, recipe_text=None) as writer:
@@ -209,8 +209,10 @@ def test_heat_of_the_winding_is_in_the_budget(pulley, folder):
         square = float(np.mean(first.read("signal_current") ** 2))
     (heat,) = (line for line in inertia.budget if line.name.endswith("heat of the winding"))
     relative = heat.contribution / inertia.value
-    assert relative == pytest.approx(0.7e-3 * square, rel=1e-3, abs=0)
-    assert inertia.value == before.results["inertia"].value
+    half = 0.7e-3 * square / 2
+    assert relative == pytest.approx(half, rel=1e-2, abs=0)
+    taken = 1 - inertia.value / before.results["inertia"].value
+    assert taken == pytest.approx(half, rel=0.1, abs=0)
 
 
 def test_the_instrument_is_not_a_rigid_body(instrument):

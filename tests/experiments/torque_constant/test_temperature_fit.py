@@ -266,6 +266,16 @@ def test_no_magnet_gains_by_heat():
     assert found.slopes.heating_u > 3e-4
 
 
+@pytest.mark.parametrize("time_constant", [12.0, 29.0, 70.0])
+def test_steady_heat_is_as_uncertain_as_the_time_constant(time_constant):
+    """Staircases of 8 s show heat, but hardly for how long it would grow."""
+    bench = Bench(time_constant=time_constant, friction=0.0, saturation=0.0)
+    slopes = analyse(bench, bench.record((20, 50), angles=3)).slopes
+    lost = -bench.coefficient / (1 + 15 * bench.coefficient) * bench.heating * time_constant
+    off = abs(slopes.steady_heating - lost)
+    assert off < 2 * math.hypot(slopes.steady_spread, slopes.steady_heating_u)
+
+
 def test_unknown_rotor_angles():
     bench = Bench()
     found = analyse(bench, {**bench.record(), "rotor_angle": None})
