@@ -16,7 +16,13 @@ from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.controller_torque import smallest_gain
 from rigtool.experiments.force.imported import analyse_imported
 from rigtool.experiments.force.procedure_readings import read_load
-from rigtool.experiments.force.results import ZERO_AGAIN, LoadReadings, load_rows, loads_outcome
+from rigtool.experiments.force.results import (
+    ONE_ANGLE,
+    ZERO_AGAIN,
+    LoadReadings,
+    load_rows,
+    loads_outcome,
+)
 from rigtool.experiments.force.results_instrument import instrument_outcome
 from rigtool.experiments.force.results_method import (
     lacking_torque,
@@ -213,9 +219,8 @@ def _constant_at_one_angle(mean: Quantity, kt: Run) -> Quantity:
     lines = inherited(mean, 1.0, "torque constant")
     if "torque_constant_ripple" in kt.results:
         ripple = kt.result("torque_constant_ripple", "1")
-        name = "torque constant at one rotor angle"
         dof = HIDDEN_DOF if ripple.u is None else ripple.dof
-        lines.append(Component(name, 1.0, "1", ripple.value, dof, mean.value))
+        lines.append(Component(ONE_ANGLE, 1.0, "1", ripple.value, dof, mean.value))
     return combined(mean.value, mean.unit, lines)
 
 

@@ -37,6 +37,9 @@ GRID_COUNTS = 10
 ZERO_AGAIN = "zero_again"
 """Recording without load after all loads (correction full): zero is known before and after."""
 
+ONE_ANGLE = "torque constant at one rotor angle"
+"""Line of the budget: the ripple of the calibration, for want of another."""
+
 SIGNIFICANCE = 0.05
 """Shapiro-Wilk probability below which readings are reported as not normally distributed."""
 
