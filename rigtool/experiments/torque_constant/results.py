@@ -54,6 +54,7 @@ def _results(found: Calibration, reading_relative_u: float) -> dict[str, Quantit
         "torque_constant_mean": found.mean,
         "torque_constant_constant_error": found.constant_error,
         "torque_constant_ripple": found.ripple,
+        "torque_constant_ripple_small_current": found.first_ripple,
         "amplifier_gain": combined(linearity.gain, "1", [scatter, gain]),
         "amplifier_offset": Quantity(linearity.offset, "A", linearity.offset_u, linearity.dof),
         "amplifier_linearity": Quantity(

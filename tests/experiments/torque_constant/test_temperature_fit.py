@@ -135,6 +135,16 @@ def test_ripple_over_rotor_angles_is_found():
     assert analyse(smooth, smooth.record((20, 50), angles=1, shifted=False)).ripple is None
 
 
+@pytest.mark.parametrize("saturation", [0.0, 0.004])
+def test_ripple_where_the_current_is_small_is_without_what_grows(saturation):
+    bench = Bench(saturation=saturation)
+    found = analyse(bench, bench.record())
+    small = math.sqrt(sum(a**2 for a in bench.ripple) / 2)
+    assert_allclose(found.first_ripple.value, small, rtol=0.1)
+    if saturation:
+        assert found.ripple.value > 2 * small
+
+
 def test_ripple_that_few_angles_may_not_show_has_no_uncertainty():
     # six angles show nothing of order 6, nine show all of it
     sixth = Bench(ripple=(0.0, 0.0, 0.0, 0.0, 0.0, 0.006), saturation=0.0)
