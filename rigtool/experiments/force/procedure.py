@@ -8,7 +8,7 @@ a load lifted and lowered (friction that grows with load) and a high one (stiffn
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -16,7 +16,13 @@ from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.controller_torque import smallest_gain
 from rigtool.experiments.force.imported import analyse_imported
 from rigtool.experiments.force.procedure_readings import read_load
-from rigtool.experiments.force.results import ZERO_AGAIN, LoadReadings, load_rows, loads_outcome
+from rigtool.experiments.force.results import (
+    ONE_ANGLE,
+    ZERO_AGAIN,
+    LoadReadings,
+    load_rows,
+    loads_outcome,
+)
 from rigtool.experiments.force.results_instrument import instrument_outcome
 from rigtool.experiments.force.results_method import (
     lacking_torque,
@@ -163,7 +169,8 @@ def _corrected(
 ) -> Outcome:
     """Return Table 8 or 9, with the disturbance of the load taken off as the recipe asks."""
     correction, table_u = recipe.measure_force.correction, _table_u(tables, recipe)
-    rows = load_rows(loads, recipe, constant, table_u)
+    ripple = _ripple_part(kt)
+    rows = load_rows(loads, recipe, constant, ripple, table_u)
     if correction == "none":
         return loads_outcome(loads, rows, recipe)
     from rigtool.experiments.force.results_corrected import (
@@ -175,7 +182,7 @@ def _corrected(
 
     if correction == "load":
         corrected, added_u = without_load_friction(loads, recipe, tables)
-        found = load_rows(corrected, recipe, constant, table_u)
+        found = load_rows(corrected, recipe, constant, ripple, table_u)
         return load_outcome(loads_outcome(corrected, found, recipe), found, added_u, rows)
     first, again = run.recordings_named("load_")[0], run.recordings_named(ZERO_AGAIN)
     return full_outcome(
@@ -213,10 +220,28 @@ def _constant_at_one_angle(mean: Quantity, kt: Run) -> Quantity:
     lines = inherited(mean, 1.0, "torque constant")
     if "torque_constant_ripple" in kt.results:
         ripple = kt.result("torque_constant_ripple", "1")
-        name = "torque constant at one rotor angle"
         dof = HIDDEN_DOF if ripple.u is None else ripple.dof
-        lines.append(Component(name, 1.0, "1", ripple.value, dof, mean.value))
+        lines.append(Component(ONE_ANGLE, 1.0, "1", ripple.value, dof, mean.value))
     return combined(mean.value, mean.unit, lines)
+
+
+def _ripple_part(kt: Run) -> Callable[[float], float]:
+    """Return the part of `torque_constant_ripple` that acts at a current, A: a part of the ripple
+    grows with the current, with phases that have nothing to do with the rest's."""
+    names = ("torque_constant_ripple_small_current", "torque_constant_ripple")
+    if not all(name in kt.results for name in names) or "hysteresis" not in kt.tables:
+        return lambda current: 1.0
+    first, whole = (kt.result(name, "1").value for name in names)
+    if not whole > 0:
+        return lambda current: 1.0
+    top = float(np.abs(kt.table("hysteresis", "current", current="A")["current"]).max())
+    least = (first / whole) ** 2
+
+    def part(current: float) -> float:
+        square = least + (1 - least) * (current / top) ** 2
+        return math.sqrt(max(square, min(least, 1.0)))
+
+    return part
 
 
 def _input_notes(kt: Run, tables: Run) -> tuple[str, ...]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,6 +36,9 @@ GRID_COUNTS = 10
 
 ZERO_AGAIN = "zero_again"
 """Recording without load after all loads (correction full): zero is known before and after."""
+
+ONE_ANGLE = "torque constant at one rotor angle"
+"""Line of the budget: the ripple of the calibration, for want of another."""
 
 SIGNIFICANCE = 0.05
 """Shapiro-Wilk probability below which readings are reported as not normally distributed."""
@@ -143,12 +146,17 @@ def stroke_grid(recipe: Recipe) -> Array:
 
 
 def load_rows(
-    loads: Sequence[LoadReadings], recipe: Recipe, constant: Quantity, table_u: float
+    loads: Sequence[LoadReadings],
+    recipe: Recipe,
+    constant: Quantity,
+    ripple: Callable[[float], float],
+    table_u: float,
 ) -> list[LoadRow]:
     """Return Table 8 or 9, load by load, from readings at one angle of the rising strokes.
 
-    `loads` begin with the one without force; `constant` is the torque constant at one rotor angle
-    and `table_u` the standard uncertainty of the learned table where torque is read, N m.
+    `loads` begin with the one without force; `constant` is the torque constant at one rotor angle,
+    `ripple` the part of its ripple that acts at a current, A, and `table_u` the standard
+    uncertainty of the learned table where torque is read, N m.
     """
     angle = math.radians(recipe.measure_force.measure_angle)
     unloaded = statistics(loads[0].values, 0.0)
@@ -163,11 +171,14 @@ def load_rows(
             found, own_u = unloaded, table_u
         else:
             found, own_u = statistics(load.values - zero, 0.0), offset_u
+        # What a load adds to ripple of i |i| grows with the current that flows without, too.
+        held = abs(found.mean) / recipe.rig.torque_factor + 2 * np.mean(np.abs(load.feedforward))
+        here = _with_ripple(constant, ripple(float(held) / constant.value))
         rows.append(
             LoadRow(
                 applied_force=load.force,
                 applied=_applied_quantity(recipe, load.force, angle),
-                mean=_mean_quantity(found, recipe, constant, own_u, load.method_u),
+                mean=_mean_quantity(found, recipe, here, own_u, load.method_u),
                 std_torque=found.std,
                 # S / sqrt(2 (n - 1)) for normal readings (GUM E.4.3)
                 std_torque_u=found.std / math.sqrt(2 * (found.count - 1)),
@@ -176,6 +187,14 @@ def load_rows(
             )
         )
     return rows
+
+
+def _with_ripple(constant: Quantity, part: float) -> Quantity:
+    lines = [
+        replace(line, u=part * line.u) if line.name == ONE_ANGLE else line
+        for line in constant.budget
+    ]
+    return combined(constant.value, constant.unit, lines) if lines else constant
 
 
 def row_results(rows: Sequence[LoadRow]) -> dict[str, Quantity]:

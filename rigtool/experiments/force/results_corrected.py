@@ -19,6 +19,7 @@ import numpy as np
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force.results import (
     LOAD_COLUMNS,
+    ONE_ANGLE,
     LoadReadings,
     LoadRow,
     loads_table,
@@ -35,7 +36,7 @@ from rigtool.experiments.load_disturbance.results_known_loads import reference_l
 from rigtool.experiments.load_disturbance.stored import Disturbance, disturbance_from, rising_load
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array
-from rigtool.quantity import Component, Quantity, combined, error_line, inherited
+from rigtool.quantity import Component, Quantity, combined, error_line, inherited, without
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run
 
@@ -84,6 +85,8 @@ def load_outcome(
     """Return the outcome `base` of readings `without_load_friction` with the u that it adds.
 
     `found` are the rows of these readings, `thesis` those of the readings before the correction.
+    What ripple adds at this angle is known by the model, and counts once: the calibration's ripple,
+    which stands for any angle, is left out.
     Raises `InsufficientDataError` where all loads are beyond the learned ones.
     """
     if np.isnan(added_u[1:]).all():
@@ -94,7 +97,9 @@ def load_outcome(
     rows = [
         row.blank()
         if math.isnan(u)
-        else replace(row, mean=_also(row.mean, error_line(LOAD_FRICTION, u, "N m")))
+        else replace(
+            row, mean=_also(without(row.mean, ONE_ANGLE), error_line(LOAD_FRICTION, u, "N m"))
+        )
         for row, u in zip(found, added_u.tolist(), strict=True)
     ]
     described = {

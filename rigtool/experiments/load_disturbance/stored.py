@@ -118,11 +118,12 @@ def rising_load(tables: Run, recipe: Recipe, model: LearnedModel, added: Array) 
         found: Array = interpn(axes, table[column], np.stack(inside, axis=-1))
         return found[:-1] if column == "u" else found[:-1] - found[-1]
 
-    friction, friction_u = at(LOAD_FRICTION, "torque"), at(LOAD_FRICTION, "u")
+    # What remains is known as well as the whole disturbance, of which friction is a part.
+    friction, whole_u = at(LOAD_FRICTION, "torque"), at(DISTURBANCE, "u")
     stretch = carried / model.shape.stiffness
     torque = added * math.sin(position) / np.sin(position - stretch)
     number = SLIDING_PARAMETERS.index("stiffness")
     relative = math.sqrt(model.covariance[number, number])
     stretch_u = torque * stretch / np.tan(position - stretch) * relative
     sided = at(DISTURBANCE, "torque") - friction
-    return RisingLoad(friction, np.hypot(friction_u, stretch_u), sided, torque)
+    return RisingLoad(friction, np.hypot(whole_u, stretch_u), sided, torque)

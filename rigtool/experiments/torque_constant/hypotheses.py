@@ -17,6 +17,7 @@ its stiffness.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -70,8 +71,9 @@ class Hypotheses:
 
     `stairs` have courses without noise. `constant` in N m/A is the mean of all hypotheses on the
     mean staircases, `spread` their standard deviation, `drift` in N m/(A K) that of the constants'
-    change with temperature. `loss` in 1/A2 is the mean over all of what a steady current lowers the
-    constant by, times its square, `loss_spread` its standard deviation.
+    change with temperature, `heat_loss_spread` in 1/A2 the root mean square of what all others
+    differ from the most probable one in the relative loss of the constant within `HEATING_TIME`,
+    over the square of the current: slow heat and fast heat look alike in a short staircase.
     """
 
     stairs: Stairs
@@ -79,8 +81,7 @@ class Hypotheses:
     constant: float
     spread: float
     drift: float
-    loss: float
-    loss_spread: float
+    heat_loss_spread: float
 
 
 def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypotheses:
@@ -106,10 +107,14 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
     probable /= probable.sum()
     mean = probable @ tried.slope
     spread = np.sqrt(probable @ (tried.slope - mean) ** 2)
-    constant, _, loss = mean.tolist()
-    of_constant, drift, of_loss = spread.tolist()
-    best = tried.commons[number]
-    return Hypotheses(means.stairs, best, constant, of_constant, drift, loss, of_loss)
+    return Hypotheses(
+        means.stairs,
+        tried.commons[number],
+        constant=float(mean[0]),
+        spread=float(spread[0]),
+        drift=float(spread[1]),
+        heat_loss_spread=math.hypot(spread[2], mean[2] - tried.slope[number, 2]),
+    )
 
 
 @dataclass(frozen=True)
@@ -117,7 +122,7 @@ class _Tried:
     """Hypotheses (n,), at places (n, 3 or 4) of a grid, and what they leave.
 
     `volume` (n,) is the part of the grid that each represents, `square` (n,) is Q, `slope` (n, 3)
-    the mean of the torque constants, their change with temperature and `Hypotheses.loss`.
+    the mean of the torque constants, their change with temperature, and the loss by heat.
     """
 
     commons: list[Common]
@@ -231,7 +236,8 @@ class _Means:
         return -a * self._weight, -b * self._weight  # (..., g, p)
 
     def try_all(self, axes: list[Array]) -> tuple[list[Common], Array, Array]:
-        """Return all hypotheses of a grid, their Q (n,) and slopes (n, 3)."""
+        """Return all hypotheses of a grid, their Q (n,) and slopes (n, 3): mean, trend, loss by
+        heat."""
         transition, tau, exponents = (np.exp(axis) for axis in axes[:3])
         lags: list[float | None] = [None]
         if len(axes) > 3:
@@ -255,7 +261,7 @@ class _Means:
             )
         ]
         slope = slope.reshape(-1, 3)
-        slope[:, 2] *= [common.time_constant for common in commons]
+        slope[:, 2] *= [common.warming for common in commons]
         return commons, square.ravel(), slope
 
     def _fit(
@@ -290,11 +296,12 @@ class _Means:
         slope, without = (self._slopes(of, bool(lost)) for of in (of_slid, of_smooth))
         return square, np.where(free[:, None], without, slope), free, added
 
-    def _slopes(self, found: Array, heated: bool) -> Array:
-        """Return mean slope, its trend and g of (1), if `heated`, from parameters (s, g, c, 2)."""
+    def _slopes(self, found: Array, warmed: bool) -> Array:
+        """Return mean slope, trend and relative loss by heat (s, 3) from parameters (s, g, c, 2),
+        the fourth of which is that loss where the winding is `warmed`."""
         mean = found[..., 0, 0] @ self._share
-        lost = found[..., 3, 0] @ self._share if heated else np.zeros(len(found))
-        slopes: Array = np.stack([mean, np.sum(found[..., 0, 1], axis=1), -lost / mean], axis=1)
+        loss = -found[..., 3, 0] @ self._share / mean if warmed else np.zeros(mean.shape)
+        slopes: Array = np.stack([mean, np.sum(found[..., 0, 1], axis=1), loss], axis=1)
         return slopes
 
     def _least_squares(self, design: Array) -> tuple[Array, Array, Array]:

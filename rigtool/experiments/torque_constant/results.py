@@ -54,8 +54,8 @@ def _results(found: Calibration, reading_relative_u: float) -> dict[str, Quantit
         hysteresis = Quantity(slopes.hysteresis, "N m", reason=reason)
     lack = "lack of fit and scatter"
     heat_loss = [
-        error_line("scatter over the angles", slopes.steady_heating_u, "1/A2", slopes.heating_dof),
-        error_line("time constant of the winding", slopes.steady_heating_spread, "1/A2"),
+        error_line("scatter over the angles", slopes.lasting_heating_u, "1/A2", slopes.heating_dof),
+        error_line("time constant of the winding", slopes.lasting_heating_spread, "1/A2"),
     ]
     results = {
         "torque_constant": found.torque_constant,
@@ -63,13 +63,14 @@ def _results(found: Calibration, reading_relative_u: float) -> dict[str, Quantit
         "torque_constant_mean": found.mean,
         "torque_constant_constant_error": found.constant_error,
         "torque_constant_ripple": found.ripple,
+        "torque_constant_ripple_small_current": found.first_ripple,
         "amplifier_gain": current(linearity.gain, "1", linearity.gain_u, linearity.dof, lack),
         "amplifier_offset": current(linearity.offset, "A", linearity.offset_u, linearity.dof, lack),
         "amplifier_linearity": current(
             linearity.deviation, "A", linearity.deviation_u, linearity.deviation_dof, "scatter"
         ),
         "hysteresis_torque": hysteresis,
-        "winding_heat_loss": combined(slopes.steady_heating, "1/A2", heat_loss),
+        "winding_heat_loss": combined(slopes.lasting_heating, "1/A2", heat_loss),
     }
     return {name: quantity for name, quantity in results.items() if quantity is not None}
 

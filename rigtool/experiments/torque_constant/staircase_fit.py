@@ -55,14 +55,16 @@ FEWEST_STEPS, CLEAR_STEPS = 10, 40
 class Slopes:
     """Torque constants of m staircases, friction and heat taken out.
 
-    `slope` (m,) in N m/A, `u` (m,) its standard uncertainty from scatter with `dof`; `zero` (m,) is
-    the torque without current, N m; `temperature`
-    (m,) in degC, weighted as the slope weights its plateaus; `rotor_angle` (m,) in rad.
+    `slope` (m,) in N m/A, `u` (m,) its standard uncertainty from scatter with `dof`; `first` (m,)
+    is the slope where the current is small, `first_u` (m,) its standard uncertainty; `zero` (m,) is
+    the torque without current, N m; `temperature` (m,) in degC, weighted as the slope weights its
+    plateaus; `rotor_angle` (m,) in rad.
     `heating` is the relative amount by which heat in the winding lowered the slopes on average,
-    `heating_u` its standard uncertainty with `heating_dof`; `steady_heating` 1/A2 is what a current
-    lowers the constant by that flows for long, times its square, `steady_heating_u` its u from
-    scatter and `steady_heating_spread` that from tau; `friction_u` the relative standard
-    uncertainty from the model of friction with `friction_dof`, `friction_share` the
+    `heating_u` its standard uncertainty with `heating_dof`; `lasting_heating` 1/A2 is what a
+    current lowers the constant by within `HEATING_TIME`, over its square, `lasting_heating_u` its
+    standard uncertainty from scatter and `lasting_heating_spread` that from tau; `friction_u` the
+    relative standard uncertainty from the model of friction with `friction_dof`, `friction_share`
+    the
     relative part by which friction changes a straight line's slope; `resolution_u` that from the
     resolution of the gauge; `trend_u` in N m/(A K) is what both give a change with temperature.
     `transition` is s of (1) in N m (None where no friction shows), `exponent` that of its law,
@@ -72,6 +74,8 @@ class Slopes:
     """
 
     slope: Array
+    first: Array
+    first_u: Array
     zero: Array
     u: Array
     dof: int
@@ -80,9 +84,9 @@ class Slopes:
     heating: float
     heating_u: float
     heating_dof: float
-    steady_heating: float
-    steady_heating_u: float
-    steady_heating_spread: float
+    lasting_heating: float
+    lasting_heating_u: float
+    lasting_heating_spread: float
     friction_u: float
     friction_dof: float
     friction_share: float
@@ -125,6 +129,8 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     return Slopes(
         # Single staircases differ from their mean; what the mean is, all hypotheses say.
         slope=solution.slope + (constant - float(np.mean(solution.slope))),
+        first=solution.first,
+        first_u=solution.first_u,
         zero=solution.fit.own[:, 1],
         u=solution.u,
         dof=solution.dof,
@@ -133,9 +139,9 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         heating=solution.heating,
         heating_u=solution.heating_u,
         heating_dof=solution.heating_dof,
-        steady_heating=hypotheses.loss,
-        steady_heating_u=solution.loss_u * hypotheses.best.time_constant,
-        steady_heating_spread=hypotheses.loss_spread,
+        lasting_heating=solution.loss * hypotheses.best.warming,
+        lasting_heating_u=solution.loss_u * hypotheses.best.warming,
+        lasting_heating_spread=hypotheses.heat_loss_spread,
         friction_u=math.hypot(u, hypotheses.spread) / constant,
         friction_dof=dof,
         friction_share=share,
@@ -175,12 +181,15 @@ class _Solution:
     """Solution of (1) for given s and tau; names as in `Slopes`, by plateau (m, p) the rest."""
 
     slope: Array
+    first: Array
+    first_u: Array
     u: Array
     dof: int
     temperature: Array
     heating: float
     heating_u: float
     heating_dof: float
+    loss: float
     loss_u: float
     fit: _LeastSquares
     off_line: Array
@@ -205,17 +214,21 @@ def _solve(stairs: Stairs, common: Common, coefficient: float, rise: Array) -> _
     loss, loss_u, loss_dof = _heat_loss(stairs.rotor_angle, warmed.own)
     current = current * (1 - loss * heat / size)
     fit = _LeastSquares(stairs.torque, [current, *own], shared)
+    lacking, first, first_u = _bend(stairs, fit, current, own, shared)
     dof = int(stairs.weight.sum()) - fit.parameters
     sigma = math.sqrt(float(np.sum(fit.residual**2)) / dof)
     share = float(np.mean(np.sum(fit.inverse[:, 0] * current * heat / size, axis=1)))
     return _Solution(
-        slope=fit.own[:, 0] + _bend(stairs, fit, current, own, shared),
+        slope=fit.own[:, 0] + lacking,
+        first=first,
+        first_u=first_u,
         u=sigma * np.sqrt(np.sum(fit.inverse[:, 0] ** 2, axis=1)),
         dof=dof,
         temperature=temperature,
         heating=loss * share,
         heating_u=loss_u * share,
         heating_dof=loss_dof,
+        loss=loss,
         loss_u=loss_u,
         fit=fit,
         off_line=stairs.torque - current * fit.own[:, :1] - stairs.weight * fit.own[:, 1:2],
@@ -224,17 +237,20 @@ def _solve(stairs: Stairs, common: Common, coefficient: float, rise: Array) -> _
 
 def _bend(
     stairs: Stairs, fit: _LeastSquares, current: Array, own: list[Array], shared: list[Array]
-) -> Array:
-    """Return what lacks the fitted slopes (m,) of those from zero to the largest current, N m/A.
+) -> tuple[Array, Array, Array]:
+    """Return what lacks the fitted slopes (m,) of those from zero to the largest current, N m/A,
+    the slopes where the current is small, and the standard uncertainty of these by scatter.
 
     Ripple that grows with the current bends a staircase, as i |i|. Of that the fit takes the slope
     that its columns leave, up to some per cent off. Over all angles the bend is zero on average.
     """
     curved, top = current * np.abs(current), float(np.max(np.abs(current)))
-    bend = _LeastSquares(stairs.torque, [current, curved, *own], shared).own[:, 1]
+    bent = _LeastSquares(stairs.torque, [current, curved, *own], shared)
+    bend, dof = bent.own[:, 1], max(int(stairs.weight.sum()) - bent.parameters, 1)
+    sigma = math.sqrt(float(np.sum(bent.residual**2)) / dof)
     taken = np.sum(fit.inverse[:, 0] * curved, axis=1)
     lacking: Array = (top - taken) * (bend - bend.mean())
-    return lacking
+    return lacking, bent.own[:, 0], sigma * np.sqrt(np.sum(bent.inverse[:, 0] ** 2, axis=1))
 
 
 class _LeastSquares:

@@ -86,7 +86,8 @@ class Calibration:
     Fig. 20.
     `ripple` is the relative standard deviation of the constant over the rotor angles, None for
     fewer than three and without uncertainty for fewer than `RIPPLE_ANGLES`: a torque read at one
-    angle is uncertain by it. `components` are relative standard uncertainties of `mean` by source;
+    angle is uncertain by it; `first_ripple` is that where the current is small.
+    `components` are relative standard uncertainties of `mean` by source;
     `rotor_angles` counts the angles of the arm (0 where unknown).
     """
 
@@ -95,6 +96,7 @@ class Calibration:
     mean: Quantity
     constant_error: Quantity | None
     ripple: Quantity | None
+    first_ripple: Quantity | None
     temperature: Array
     value: Array
     u: Array
@@ -162,6 +164,7 @@ def calibrate(
         mean=law.stated(mean, "N m/A"),
         constant_error=law.constant_error(mean, (low, high)) if fit.slope_known else None,
         ripple=_stated_ripple(fit),
+        first_ripple=_first_ripple(slopes) if fit.angles >= 3 else None,
         temperature=temperature,
         value=value,
         u=np.array([point.u for point in points]),
@@ -279,6 +282,22 @@ def _ripple(found: AngleEffects, value: float, slopes: Slopes, *, known: bool) -
         error_line("gauge resolution", rounding / value, "1"),
     ]
     return combined(deviation / value, "1", lines)
+
+
+def _first_ripple(slopes: Slopes) -> Quantity:
+    """Return the relative standard deviation over a turn of the slopes where the current is small.
+
+    Of the scatter about a line over temperature, what each slope scatters by itself is taken off,
+    but for the standard deviation of that.
+    """
+    degree = int(np.ptp(slopes.temperature) > SAME_TEMPERATURE)
+    line = np.polyfit(slopes.temperature, slopes.first, degree)
+    rest = slopes.first - np.polyval(line, slopes.temperature)
+    free = max(len(rest) - degree - 1, 1)
+    own = float(np.mean(slopes.first_u**2))
+    square = max(float(rest @ rest) / free - own, 0.0) + own * math.sqrt(2 / free)
+    ripple = math.sqrt(square) * (1 + slopes.friction_share) / abs(float(np.mean(slopes.first)))
+    return Quantity(ripple, "1", reason="a size of what single staircases show")
 
 
 def _carried(slopes: Slopes) -> float:

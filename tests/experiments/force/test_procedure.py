@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -363,3 +364,23 @@ def test_a_clock_that_stands_between_two_blocks_is_refused(tmp_path, inputs, mon
     rig.perform = stuck
     with pytest.raises(InsufficientDataError, match="load_000: time does not rise at sample 1000"):
         measured(tmp_path, rig, inputs(recipe))
+
+
+@pytest.mark.parametrize("current", [0.0, 1.0, 2.5, 4.0])
+def test_ripple_that_grows_with_the_current_is_smaller_at_small_currents(current):
+    """Two parts, one in proportion to the current, with phases that have nothing in common."""
+    low, grown = 0.003, 0.008
+    sizes = {
+        "torque_constant_ripple_small_current": low,
+        "torque_constant_ripple": math.hypot(low, grown),
+    }
+    calibration = SimpleNamespace(
+        results=sizes,
+        tables={"hysteresis": None},
+        result=lambda name, unit: Quantity(sizes[name], unit, 0.0),
+        table=lambda name, *axes, **units: {"current": np.array([0.0, 2.0, 4.0])},
+    )
+    found = measure_force._ripple_part(calibration)(current) * math.hypot(low, grown)
+    assert found == pytest.approx(math.hypot(low, grown * current / 4), rel=1e-12)
+    sizes.pop("torque_constant_ripple_small_current")
+    assert measure_force._ripple_part(calibration)(current) == 1.0

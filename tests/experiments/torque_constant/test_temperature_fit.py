@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.staircase import amplifier_linearity, plateaus_of_set_point
 from rigtool.experiments.torque_constant.staircase_fit import fit_staircases
+from rigtool.experiments.torque_constant.staircase_model import HEATING_TIME
 from rigtool.experiments.torque_constant.temperature_fit import Calibration, _ripple, calibrate
 from rigtool.numerics.angle_effects import AngleEffects
 from rigtool.numerics.turn_mean import mean_over_turn
@@ -137,6 +138,16 @@ def test_ripple_over_rotor_angles_is_found():
     assert analyse(smooth, smooth.record((20, 50), angles=1, shifted=False)).ripple is None
 
 
+@pytest.mark.parametrize("saturation", [0.0, 0.004])
+def test_ripple_where_the_current_is_small_is_without_what_grows(saturation):
+    bench = Bench(saturation=saturation)
+    found = analyse(bench, bench.record())
+    small = math.sqrt(sum(a**2 for a in bench.ripple) / 2)
+    assert_allclose(found.first_ripple.value, small, rtol=0.1)
+    if saturation:
+        assert found.ripple.value > 2 * small
+
+
 def test_ripple_that_few_angles_may_not_show_has_no_uncertainty():
     # six angles show nothing of order 6, nine show all of it
     sixth = Bench(ripple=(0.0, 0.0, 0.0, 0.0, 0.0, 0.006), saturation=0.0)
@@ -252,19 +263,22 @@ def test_a_drift_within_the_staircases_is_taken_out_of_the_torque():
     assert (found.slopes.u < 2.5e-5 * found.mean.value).all()
 
 
-@pytest.mark.parametrize("bench", [Bench(), Bench(heating=0.05, time_constant=4.0)])
-def test_the_loss_by_a_steady_current_is_as_uncertain_as_the_time_constant(bench):
-    """A staircase of 4 s shows a winding of 4 s; of one of 29 s it shows how fast it warms."""
+@pytest.mark.parametrize(
+    "bench", [Bench(), Bench(time_constant=60.0), Bench(heating=0.05, time_constant=4.0)]
+)
+def test_the_loss_by_a_lasting_current_is_as_uncertain_as_the_time_constant(bench):
+    """A staircase of 8 s shows a winding of 4 s; of a slower one it shows how fast it warms."""
     plateaus = [
         plateaus_of_set_point(**bench.record(), arm_length=bench.arm_length, settle_time=settle)
         for settle in (bench.settle_time, bench.settle_time + bench.sample_time)
     ]
     one, other = (fit_staircases(each) for each in plateaus)
-    u = math.hypot(one.steady_heating_u, one.steady_heating_spread)
-    true = -bench.coefficient * bench.heating * bench.time_constant
-    assert abs(one.steady_heating - true) < 2 * u
-    assert abs(one.steady_heating - other.steady_heating) < u  # one sample of settling
-    assert (one.steady_heating_spread > 0.3 * true) == (bench.time_constant > 20)
+    u = math.hypot(one.lasting_heating_u, one.lasting_heating_spread)
+    warming = -bench.time_constant * math.expm1(-HEATING_TIME / bench.time_constant)
+    true = -bench.coefficient * bench.heating * warming
+    assert abs(one.lasting_heating - true) < 2 * u
+    assert abs(one.lasting_heating - other.lasting_heating) < u  # one sample of settling
+    assert (one.lasting_heating_spread > 0.1 * true) == (bench.time_constant > 20)
 
 
 def test_one_rotor_angle_leaves_the_heat_unknown():
