@@ -82,7 +82,7 @@ def true_constants(recipe: Recipe) -> dict[str, float]:
     mean = 1 + slope * ((low + high) / 2 - 20)
     errors = [mean / (1 + slope * (end - 20)) - 1 for end in (low, high)]
     table = rotor_map(virtual, virtual.amplifier, virtual.power_cycle)[:-1]
-    heat, middle = virtual.thermal, np.mean(settings.temperatures_degc) - 20
+    heat, middle = virtual.thermal, float(np.mean(settings.temperatures_degc)) - 20
     # The slope of i + i (g + s i) is 1 + g + s span from zero to the span, of true current.
     span = virtual.amplifier.gain * settings.current_max
     return {
