@@ -31,7 +31,7 @@ from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import rising_steps
-from rigtool.quantity import Quantity, combined, error_line
+from rigtool.quantity import Quantity, combined, error_line, inherited
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig
 from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
@@ -108,18 +108,22 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run | None = None) -> Ou
 def _torque_constant(recording: Recording, kt: Run | None) -> Quantity | None:
     """Return the torque for each ampere at the recording's temperature; None without --kt.
 
-    The winding is warmer than the housing by what its current heats it. By how much the constant
-    is lower then is a line of the budget: how long the current must flow for it is hardly known.
+    The winding is warmer than the housing by what its current heats it. How much of that the
+    recording reaches is not known: the constant is lower by anything between nothing and the whole
+    of it, a rectangular distribution (GUM 4.3.7).
     """
     if kt is None:
         return None
     constant = torque_per_ampere_at(kt, float(recording.read("temperature").mean()))
     if "winding_heat_loss" not in kt.results:
         return constant
-    square = float(np.mean(recording.read("signal_current").astype(np.float64) ** 2))
-    loss = constant.value * kt.result("winding_heat_loss", "1/A2").value * square
-    heat = error_line("heat of the winding", loss, constant.unit)
-    return combined(constant.value, constant.unit, [*constant.budget, heat])
+    loss = kt.result("winding_heat_loss", "1/A2")
+    half = float(np.mean(recording.read("current_setpoint").astype(np.float64) ** 2)) / 2
+    u = constant.value * half * math.hypot(loss.value / math.sqrt(3), loss.u or 0.0)
+    left = 1 - loss.value * half
+    heat = error_line("heat of the winding", u, constant.unit)
+    lines = [*inherited(constant, left, "torque constant"), heat]
+    return combined(constant.value * left, constant.unit, lines)
 
 
 def _experiments(recording: Recording, recipe: Recipe, torque_constant: float) -> list[Experiment]:

@@ -17,6 +17,7 @@ its stiffness.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -70,7 +71,9 @@ class Hypotheses:
 
     `stairs` have courses without noise. `constant` in N m/A is the mean of all hypotheses on the
     mean staircases, `spread` their standard deviation, `drift` in N m/(A K) that of the constants'
-    change with temperature.
+    change with temperature, `heat_loss_spread` in 1/A2 the root mean square of what all others
+    differ from the most probable one in the relative loss of the constant within `HEATING_TIME`,
+    over the square of the current: slow heat and fast heat look alike in a short staircase.
     """
 
     stairs: Stairs
@@ -78,6 +81,7 @@ class Hypotheses:
     constant: float
     spread: float
     drift: float
+    heat_loss_spread: float
 
 
 def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypotheses:
@@ -103,16 +107,22 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
     probable /= probable.sum()
     mean = probable @ tried.slope
     spread = np.sqrt(probable @ (tried.slope - mean) ** 2)
-    best, constant = tried.commons[number], float(mean[0])
-    return Hypotheses(means.stairs, best, constant, float(spread[0]), float(spread[1]))
+    return Hypotheses(
+        means.stairs,
+        tried.commons[number],
+        constant=float(mean[0]),
+        spread=float(spread[0]),
+        drift=float(spread[1]),
+        heat_loss_spread=math.hypot(spread[2], mean[2] - tried.slope[number, 2]),
+    )
 
 
 @dataclass(frozen=True)
 class _Tried:
     """Hypotheses (n,), at places (n, 3 or 4) of a grid, and what they leave.
 
-    `volume` (n,) is the part of the grid that each represents, `square` (n,) is Q, `slope` (n, 2)
-    the mean of the torque constants and their change with temperature.
+    `volume` (n,) is the part of the grid that each represents, `square` (n,) is Q, `slope` (n, 3)
+    the mean of the torque constants, their change with temperature, and the loss by heat.
     """
 
     commons: list[Common]
@@ -226,7 +236,8 @@ class _Means:
         return -a * self._weight, -b * self._weight  # (..., g, p)
 
     def try_all(self, axes: list[Array]) -> tuple[list[Common], Array, Array]:
-        """Return all hypotheses of a grid, their Q (n,) and slopes (n, 2): mean and trend."""
+        """Return all hypotheses of a grid, their Q (n,) and slopes (n, 3): mean, trend, loss by
+        heat."""
         transition, tau, exponents = (np.exp(axis) for axis in axes[:3])
         lags: list[float | None] = [None]
         if len(axes) > 3:
@@ -249,12 +260,14 @@ class _Means:
                 product(transition, tau, exponents, lags), free.ravel(), strict=True
             )
         ]
-        return commons, square.ravel(), slope.reshape(-1, 2)
+        slope = slope.reshape(-1, 3)
+        slope[:, 2] *= [common.warming for common in commons]
+        return commons, square.ravel(), slope
 
     def _fit(
         self, current: Array, lost: Array, friction: Sequence[Array]
     ) -> tuple[Array, Array, Array]:
-        """Return Q (s,), slopes (s, 2), and which transitions are without friction (s,)."""
+        """Return Q (s,), slopes (s, 3), and which transitions are without friction (s,)."""
         square, slope, free, added = self._fit_columns(current, [lost], friction)
         gains = added > 0  # as no magnet does by heat
         if not gains.any():
@@ -266,7 +279,7 @@ class _Means:
     def _fit_columns(
         self, current: Array, lost: list[Array], friction: Sequence[Array]
     ) -> tuple[Array, Array, Array, Array]:
-        """Return Q (s,), slopes (s, 2), without friction (s,), and what heat adds (s,)."""
+        """Return Q (s,), slopes (s, 3), without friction (s,), and what heat adds (s,)."""
         smooth = np.stack([current, self._weight, self._step, *lost], axis=2)[None]
         saturation = (current * np.abs(current))[None, :, :, None]
         plain = np.broadcast_to(smooth, (len(friction[0]), *smooth.shape[1:]))
@@ -280,14 +293,16 @@ class _Means:
         square = np.where(level > LARGEST_FRICTION * self._span, np.inf, square)
         added = np.where(free, bare[..., 3, 0] @ self._share, found[..., 3, 0] @ self._share)
         # The ripple's i |i| averages out over angles; as a column it would take most of the slope.
-        slope, without = self._slopes(of_slid), self._slopes(of_smooth)
+        slope, without = (self._slopes(of, bool(lost)) for of in (of_slid, of_smooth))
         return square, np.where(free[:, None], without, slope), free, added
 
-    def _slopes(self, found: Array) -> Array:
-        """Return mean slope and trend (s, 2) from parameters (s, g, c, 2)."""
+    def _slopes(self, found: Array, warmed: bool) -> Array:
+        """Return mean slope, trend and relative loss by heat (s, 3) from parameters (s, g, c, 2),
+        the fourth of which is that loss where the winding is `warmed`."""
         mean = found[..., 0, 0] @ self._share
-        trend: Array = np.stack([mean, np.sum(found[..., 0, 1], axis=1)], axis=1)
-        return trend
+        loss = -found[..., 3, 0] @ self._share / mean if warmed else np.zeros(mean.shape)
+        slopes: Array = np.stack([mean, np.sum(found[..., 0, 1], axis=1), loss], axis=1)
+        return slopes
 
     def _least_squares(self, design: Array) -> tuple[Array, Array, Array]:
         """Return Q (s,) of the mean torque and parameters (s, g, c, 2) of designs (s, g, p, c); and

@@ -57,7 +57,7 @@ def _results(found: Calibration, reading_relative_u: float) -> dict[str, Quantit
         ),
         "hysteresis_torque": hysteresis,
         "winding_heat_loss": Quantity(
-            slopes.steady_heating, "1/A2", slopes.steady_heating_u, slopes.heating_dof
+            slopes.lasting_heating, "1/A2", slopes.lasting_heating_u, slopes.heating_dof
         ),
     }
     return {name: quantity for name, quantity in results.items() if quantity is not None}

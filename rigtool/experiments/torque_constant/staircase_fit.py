@@ -53,11 +53,11 @@ class Slopes:
     the torque without current, N m; `temperature`
     (m,) in degC, weighted as the slope weights its plateaus; `rotor_angle` (m,) in rad.
     `heating` is the relative amount by which heat in the winding lowered the slopes on average,
-    `heating_u` its standard uncertainty with `heating_dof`; `steady_heating` 1/A2 is what a current
-    lowers the constant by that flows for long, times its square; `friction_u` the relative standard
-    uncertainty from the model of friction with `friction_dof`, `friction_share` the
-    relative part by which friction changes a straight line's slope; `resolution_u` that from the
-    resolution of the gauge; `trend_u` in N m/(A K) is what both give a change with temperature.
+    `heating_u` its standard uncertainty with `heating_dof`; `lasting_heating` 1/A2 is
+    what a current lowers the constant by within `HEATING_TIME`, over its square; `friction_u` the
+    relative standard uncertainty from the model of friction with `friction_dof`, `friction_share`
+    the relative part by which friction changes a straight line's slope; `resolution_u` that from
+    the resolution of the gauge; `trend_u` in N m/(A K) is what both give a change with temperature.
     `transition` is s of (1) in N m (None where no friction shows), `exponent` that of its law,
     `time_constant` tau in s. `level` (l,) in A, `rising` and `falling` (l,) in N m: torque minus
     the straight line, mean over staircases; `hysteresis` in N m: falling minus
@@ -73,8 +73,8 @@ class Slopes:
     heating: float
     heating_u: float
     heating_dof: float
-    steady_heating: float
-    steady_heating_u: float
+    lasting_heating: float
+    lasting_heating_u: float
     friction_u: float
     friction_dof: float
     friction_share: float
@@ -125,8 +125,10 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         heating=solution.heating,
         heating_u=solution.heating_u,
         heating_dof=solution.heating_dof,
-        steady_heating=solution.loss * hypotheses.best.time_constant,
-        steady_heating_u=solution.loss_u * hypotheses.best.time_constant,
+        lasting_heating=solution.loss * hypotheses.best.warming,
+        lasting_heating_u=math.hypot(
+            solution.loss_u * hypotheses.best.warming, hypotheses.heat_loss_spread
+        ),
         friction_u=math.hypot(u, hypotheses.spread) / constant,
         friction_dof=dof,
         friction_share=share,

@@ -19,6 +19,7 @@ parameters.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +37,9 @@ from rigtool.numerics.arrays import Array
 
 COPPER_COEFFICIENT = 3.93e-3
 """Temperature coefficient of a copper winding's resistance at 20 degC, 1/K (IEC 60028)."""
+
+HEATING_TIME = 60.0
+"""Time for which a current flows whose heat is stated, s."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,11 @@ class Common:
     exponent: float
     lag: float | None
     time_constant: float
+
+    @property
+    def warming(self) -> float:
+        """w of (1) for a square of the current after `HEATING_TIME`, s."""
+        return -self.time_constant * math.expm1(-HEATING_TIME / self.time_constant)
 
 
 def arrange(plateaus: Plateaus) -> Stairs:

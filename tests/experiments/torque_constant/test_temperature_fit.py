@@ -257,6 +257,16 @@ def test_one_rotor_angle_leaves_the_heat_unknown():
     assert abs(found.mean.value / (45.8e-3 * (1 - 1.16e-3 * 7.5)) - 1) < 2 * found.mean.u / 45e-3
 
 
+@pytest.mark.parametrize("time_constant", [15.0, 60.0])
+def test_what_a_lasting_current_lowers_is_as_uncertain_as_the_time_constant(time_constant):
+    """A staircase of 8 s hardly shows the time in which a winding warms."""
+    bench = Bench(time_constant=time_constant, housing_drift=0.0)
+    slopes = analyse(bench, bench.record(temperatures=(20, 50), seed=4)).slopes
+    true = -bench.coefficient * bench.heating * time_constant
+    assert abs(slopes.lasting_heating - true) < 3 * slopes.lasting_heating_u
+    assert slopes.lasting_heating_u > 0.03 * true
+
+
 def test_no_magnet_gains_by_heat():
     """Torque that rises with i2 over time is not heat: nothing is corrected, and u holds it."""
     bench = Bench(heating=-0.022, saturation=0.0)
