@@ -15,6 +15,7 @@ from drawn_rigs import (
     far,
     grid,
     moving,
+    moving_excited,
     moving_far,
     near,
     turning_far,
@@ -286,7 +287,7 @@ def turning() -> Iterator[Design]:
     )
     yield Design(
         "identify-plant, instrument",
-        moving,
+        moving_excited,
         Step(IDENTIFY_PLANT, inputs={"kt": KT}),
         by_name(true_plant),
     )
