@@ -15,6 +15,7 @@ from drawn_rigs import (
     far,
     grid,
     moving,
+    moving_excited,
     moving_far,
     near,
     turning_far,
@@ -31,6 +32,7 @@ from rigtool.experiments.plant.procedure_excitation import excited_lines, period
 from rigtool.experiments.procedure import Procedure
 from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
 from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
+from rigtool.experiments.torque_constant.staircase_model import HEATING_TIME
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs.virtual.maps import rotor_map
@@ -96,7 +98,8 @@ def true_constants(recipe: Recipe) -> dict[str, float]:
         "winding_heat_loss": -slope
         / (1 + slope * middle)
         * heat.winding_resistance
-        * heat.winding_to_housing,
+        * heat.winding_to_housing
+        * -math.expm1(-HEATING_TIME / (heat.winding_to_housing * heat.winding_capacity)),
     }
 
 
@@ -291,7 +294,7 @@ def turning() -> Iterator[Design]:
     )
     yield Design(
         "identify-plant, instrument",
-        moving,
+        moving_excited,
         Step(IDENTIFY_PLANT, inputs={"kt": KT}),
         by_name(true_plant),
     )

@@ -103,6 +103,12 @@ def moving(rng: np.random.Generator) -> Settings:
     }
 
 
+def moving_excited(rng: np.random.Generator) -> Settings:
+    """Draw the same with another number of excited lines, and thus other phases, for each rig:
+    errors by what an instrument distorts are those of the phases, of one sign for all rigs."""
+    return moving(rng) | {"identify_plant.lines": int(rng.integers(30, 50))}
+
+
 def moving_far(rng: np.random.Generator) -> Settings:
     """Draw a rig far from the thesis's that moves: another motor, encoder, rate of samples."""
     constant = spread(rng, 0.01, 0.3)

@@ -64,13 +64,15 @@ PROPORTIONALITY_U = 0.1
 class DirectionFit:
     """Friction in one direction; torques in N m against the motion, speeds in rad/s.
 
-    `covariance` belongs to `parameters`, (fc, fv) or (fc, fv, fs, vs). The fit covers speeds from
-    `lowest` to `highest`; `structure` is the rms of its residuals far beyond scatter, largest at
-    `worst_speed`; `friction` is the mean of the points; `criterion` is Akaike's, by which the model
-    was chosen, with the lead that its shape needs.
+    `covariance` belongs to `parameters`, (fc, fv) or (fc, fv, fs, vs), of the chosen model;
+    `averaged` are fc and fv as stated, of a line in the mean over the models. The fit covers speeds
+    from `lowest` to `highest`; `structure` is the rms of its residuals far beyond scatter, largest
+    at `worst_speed`; `friction` is the mean of the points; `criterion` is Akaike's, by which the
+    model was chosen, with the lead that its shape needs.
     """
 
     parameters: Array
+    averaged: Array
     covariance: Array
     exponent: float | None
     dof: int
@@ -84,12 +86,12 @@ class DirectionFit:
     @property
     def coulomb(self) -> tuple[float, float]:
         """The value of fc and its standard uncertainty."""
-        return self._parameter(0)
+        return float(self.averaged[0]), math.sqrt(float(self.covariance[0, 0]))
 
     @property
     def viscous(self) -> tuple[float, float]:
         """The value of fv, N m s/rad, and its standard uncertainty."""
-        return self._parameter(1)
+        return float(self.averaged[1]), math.sqrt(float(self.covariance[1, 1]))
 
     def level(self, speed: Array) -> Array:
         """Return f without its viscous part at speeds >= 0."""
@@ -179,25 +181,29 @@ def fit_direction(
                 best, lowest, needed = candidate, criterion, lead
     if best.exponent is None:
         best = _straight_part(v, f, weight)
+    averaged, spread = _averaged(best, curves, v, f, weight)
     covariance = best.covariance.copy()
-    covariance[:2, :2] += _other_models(best, curves, v, f, weight)
-    return replace(best, covariance=covariance, criterion=lowest + needed)
+    covariance[:2, :2] += spread
+    return replace(best, averaged=averaged, covariance=covariance, criterion=lowest + needed)
 
 
-def _other_models(
+def _averaged(
     chosen: DirectionFit,
     curves: Mapping[float, DirectionFit | None],
     v: Array,
     f: Array,
     weight: Array,
-) -> Array:
-    """Return the mean square by which fc and fv of other models differ from the chosen fit's.
+) -> tuple[Array, Array]:
+    """Return fc and fv (2,), and the mean square by which those of other models differ (2, 2).
+
+    They are those of a chosen Stribeck curve; where the line is chosen, the mean over all models: a
+    line through an unresolved Stribeck effect has less slope than the friction, never more.
 
     The line, and Stribeck curves by exponent: the determined one, or those of all velocities. Each
     has its Akaike weight, half of which is the line's before the data speak (Burnham and Anderson,
-    Model Selection and Multimodel Inference, 2nd ed., 2002, section 4.3): data that do not resolve
-    a Stribeck effect do not show that there is none. Points that the line leaves out count as its
-    parameters.
+    Model Selection and Multimodel Inference, 2nd ed., 2002, sections 4.2 and 4.3): data that do not
+    resolve a Stribeck effect do not show that there is none. Points that the line leaves out count
+    as its parameters.
     """
     line = _straight_part(v, f, weight)
     left_out = v < line.lowest
@@ -220,8 +226,11 @@ def _other_models(
             if found[2] >= found[0]:
                 add(found, _corrected((f - design @ found) * weight, 4), 1 / len(velocities))
     probable = np.array(prior) * np.exp((min(criteria) - np.array(criteria)) / 2)
-    apart = np.array(parameters) - chosen.parameters[:2]
-    return np.einsum("k,ki,kj->ij", probable / probable.sum(), apart, apart)
+    probable /= probable.sum()
+    line_chosen = chosen.exponent is None
+    stated = probable @ np.array(parameters) if line_chosen else chosen.parameters[:2]
+    apart = np.array(parameters) - stated
+    return stated, np.einsum("k,ki,kj->ij", probable, apart, apart)
 
 
 def mean_by_speed(v: Array, f: Array, u: Array) -> tuple[Array, Array, Array]:
@@ -263,6 +272,7 @@ def _finish(
     excess = np.mean(residual**2) * len(v) / max(dof, 1) - np.mean((FAR_BEYOND / weight) ** 2)
     return DirectionFit(
         parameters=parameters,
+        averaged=parameters[:2],
         covariance=inverse @ inverse.T * scale,
         exponent=exponent,
         dof=dof,

@@ -64,9 +64,8 @@ class Slopes:
     current lowers the constant by within `HEATING_TIME`, over its square, `lasting_heating_u` its
     standard uncertainty from scatter and `lasting_heating_spread` that from tau; `friction_u` the
     relative standard uncertainty from the model of friction with `friction_dof`, `friction_share`
-    the
-    relative part by which friction changes a straight line's slope; `resolution_u` that from the
-    resolution of the gauge; `trend_u` in N m/(A K) is what both give a change with temperature.
+    the relative part by which friction changes a straight line's slope; `resolution_u` that from
+    the resolution of the gauge; `trend_u` in N m/(A K) is what both give a change with temperature.
     `transition` is s of (1) in N m (None where no friction shows), `exponent` that of its law,
     `time_constant` tau in s. `level` (l,) in A, `rising` and `falling` (l,) in N m: torque minus
     the straight line, mean over staircases; `hysteresis` in N m: falling minus

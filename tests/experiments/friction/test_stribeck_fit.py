@@ -185,6 +185,24 @@ def test_an_effect_that_the_data_do_not_resolve_is_in_the_uncertainty():
     assert np.mean(np.abs(pulls) < 2) > 0.85
 
 
+def test_an_effect_that_the_data_do_not_resolve_bends_no_line_to_one_side():
+    """The line through it has too little slope and too much Coulomb friction, by most of u in
+    the mean; the mean over the models that explain the holds does not lean."""
+    rng = np.random.default_rng(29)
+    speed = np.array([0.4, 0.45, 0.5, 0.55, 0.6, 0.75, *SPEEDS[1:]], dtype=float)
+    pulls = []
+    for _ in range(120):
+        u = np.full(len(speed), spread := 10 ** rng.uniform(-5.0, -4.0))
+        static, velocity = 2.3e-3 * rng.uniform(1, 2), rng.uniform(0.2, 0.5)
+        noise = spread * rng.standard_normal(len(speed))
+        fit = fit_direction(speed, curve(speed, 2.3e-3, 5e-5, static, velocity) + noise, u)
+        if fit.exponent is None:
+            (coulomb, coulomb_u), (viscous, viscous_u) = fit.coulomb, fit.viscous
+            pulls.append([(coulomb - 2.3e-3) / coulomb_u, (viscous - 5e-5) / viscous_u])
+    assert len(pulls) > 50
+    assert np.all(np.abs(np.mean(pulls, axis=0)) < 0.3), np.mean(pulls, axis=0)
+
+
 @given(
     coulomb=st.floats(1e-4, 1.0),
     relative=st.floats(1e-3, 0.2),
