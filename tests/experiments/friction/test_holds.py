@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 from scipy.signal import lfilter
 
-from rigtool.experiments.friction.holds import find_holds
+from rigtool.experiments.friction.holds import _warm_up, find_holds
 
 SPEED, TURNS, SAMPLES, DRAWS = 10.0, 6, 1200, 200
 
@@ -35,3 +35,15 @@ def test_intervals_hold_wherever_the_noise_has_its_corner(cycles, lowest):
     exact = 0.1 * np.sqrt(1 - (1 - np.exp(-2 * np.pi * cycles)) / (2 * np.pi * cycles))
     exact /= np.sqrt(np.pi * cycles)
     assert 0.8 < np.sqrt(np.mean(np.square(u))) / exact < 1.45
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_warm_up_is_what_makes_the_mean_of_the_rest_most_certain(seed):
+    """MSER-5 written out: White, Simulation 69(6) 323-334, 1997."""
+    values = np.random.default_rng(seed).normal(size=203)
+    values[:37] += np.linspace(4, 0, 37)
+    means = [np.mean(values[k : k + 5]) for k in range(0, 200, 5)]
+    errors = [np.var(means[d:]) / len(means[d:]) for d in range(20)]
+    found = _warm_up(values)
+    assert found == 5 * int(np.argmin(errors))
+    assert 15 <= found <= 60
