@@ -30,6 +30,7 @@ from rigtool.experiments.imported_load.model import (
     Side,
     stroke_of,
 )
+from rigtool.experiments.imported_load.noise import learned_noise
 from rigtool.experiments.imported_load.region import (
     MARGIN,
     NARROW,
@@ -178,6 +179,7 @@ def learn_load_model(
         direction=direction,
         region=learn_region(place, speed, torque, _margins(sides, direction) * spacing),
         loop=learn_loop(place, speed > 0, measured, recording),
+        noise=learned_noise([item.noise.by(effort_scale) for item in signals]),
     )
     against = direction * speed > 0
     each = [np.concatenate(pair) for pair in zip(*(out.slopes for out in held), strict=False)]
