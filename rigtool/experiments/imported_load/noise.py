@@ -81,7 +81,7 @@ def learned_noise(noises: Sequence[EffortNoise]) -> LearnedNoise:
 
 
 def _edges(bandwidth_hz: float) -> Array:
-    edges: Array = bandwidth_hz * 2.0 ** np.arange(1, OCTAVES + 2)
+    edges: Array = bandwidth_hz * np.exp2(np.arange(1.0, OCTAVES + 2))
     return edges
 
 
