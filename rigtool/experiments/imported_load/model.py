@@ -132,7 +132,8 @@ class LoadModel:
 
     Effort is in units of `effort_scale`; `torque_range` are the lowest and highest torque that are
     looked at, without unit; `direction` is the sign of the speed against which the load acts;
-    `loop` is what shows that runs are of the mounting that was learned.
+    `loop` is what shows that runs are of the mounting that was learned; dead bands are wider by
+    `slack` at either end, without unit.
     """
 
     scales: Scales
@@ -145,6 +146,7 @@ class LoadModel:
     region: Region
     loop: StrokeLoop
     noise: LearnedNoise
+    slack: float = 0.0
 
     def place(self, path: ShaftPath) -> Array:
         """Return the position (n,) as part of the learned stroke."""
@@ -227,7 +229,7 @@ class LoadModel:
         order = np.argsort(edges, axis=0)
         low, high = np.take_along_axis(edges, order, axis=0)
         low = np.where(low < high, low, np.nan)  # else both are beyond one end of the range
-        wider = np.take_along_axis(half, order, axis=0)
+        wider = np.take_along_axis(half, order, axis=0) + self.slack
         lowest, highest = self.torque_range
         return np.maximum(low - wider[0], lowest), np.minimum(high + wider[1], highest)
 

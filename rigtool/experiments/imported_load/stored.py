@@ -34,6 +34,7 @@ _SCALES = {
     "highest": ("1", "torque that is looked for, by its unit"),
     "bandwidth": ("Hz", "of all signals"),
     "direction": ("1", "of the speed that the load resists"),
+    "slack": ("1", "of dead bands at either end, by the unit of torque"),
 }
 
 _REGION = {
@@ -76,6 +77,7 @@ def model_tables(model: LoadModel, effort_unit: str) -> dict[str, Table]:
         "highest": model.torque_range[1],
         "bandwidth": model.bandwidth_hz,
         "direction": float(model.direction),
+        "slack": model.slack,
     }
     signs = (np.array(SIDE_SIGNS, dtype=float), "1", "sign of the speed")
     levels = [len(side.levels) for side in sides]
@@ -258,6 +260,7 @@ def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
         loop=StrokeLoop(
             loop["mean"], loop["shape"], float(loop["offset"][0]), int(loop["recordings"][0])
         ),
+        slack=float(scales["slack"][0]),
         noise=LearnedNoise(noise["lowest"], noise["highest"], float(noise["rounding"][0])),
     )
     return model, scales.columns["effort"].unit
