@@ -30,7 +30,13 @@ from rigtool.experiments.imported_load.basis import (
 )
 from rigtool.experiments.imported_load.loop import StrokeLoop
 from rigtool.experiments.imported_load.noise import LearnedNoise
-from rigtool.experiments.imported_load.region import DRIVEN, Region, of_known_strokes, reached
+from rigtool.experiments.imported_load.region import (
+    DRIVEN,
+    Region,
+    beside_known,
+    of_known_strokes,
+    reached,
+)
 from rigtool.numerics.arrays import Array, Mask
 
 SIDE_SIGNS = (1, -1)
@@ -201,6 +207,9 @@ class LoadModel:
         states[hidden] = np.where(still, State.STILL, State.REVERSED)[hidden]
         low, high = self._dead_band(effort, path, hidden, doubt)
         bounded = hidden & path.regular & reached(place) & np.isfinite(low + high)
+        # At an end of the range a load beyond it may act, unless strokes beside show one within
+        within = (low > self.torque_range[0]) & (high < self.torque_range[1])
+        bounded &= within | beside_known(known, way)
         states[~known & ~bounded] = State.OUTSIDE
         torque = np.where(known, torque, (low + high) / 2)
         u = np.where(known, u, (high - low) / math.sqrt(12))

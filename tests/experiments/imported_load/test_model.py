@@ -451,3 +451,12 @@ def test_dead_bands_hold_friction_at_rest_beyond_that_of_any_learned_speed():
         hidden = np.isin(found.states, (State.STILL, State.REVERSED))
         held.append((np.abs(found.torque - item.sensor) <= math.sqrt(3) * found.u)[hidden])
     assert np.mean(np.concatenate(held)) > 0.85
+
+
+def test_dead_bands_of_loads_beyond_the_learned_ones_have_no_value(learned):
+    for load in (0.12, 0.2):
+        item = observe(load, 0.2, seed=13)
+        found = learned.model.read(item)
+        hidden = np.isin(found.states, (State.STILL, State.REVERSED))
+        apart = np.abs(found.torque - item.sensor) > math.sqrt(3) * found.u
+        assert not (apart & hidden).any()
