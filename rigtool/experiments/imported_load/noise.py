@@ -30,6 +30,9 @@ OCTAVES = 8
 SEGMENT_PERIODS = 8
 """Length of the segments of a spectrum, in periods of the bandwidth."""
 
+MOST_PARTS = 3
+"""Parts of a recording whose noise is compared."""
+
 PASSED = 3 * math.pi / (8 * math.sqrt(2))
 """Integral of 1 / (1 + x^4)^2: of the power that the low-pass lets through."""
 
@@ -86,20 +89,28 @@ def _edges(bandwidth_hz: float) -> Array:
 
 
 def noise_of(effort: Array, rate: float, bandwidth_hz: float) -> EffortNoise:
-    """Return the noise of an effort (n,), at `rate` Hz."""
-    welch = Welch(max(16, round(SEGMENT_PERIODS * rate / bandwidth_hz)))
-    welch.add(effort)
-    spectrum = welch.spectrum(1 / rate)
-    density = np.full(OCTAVES, np.nan)
-    edges = _edges(bandwidth_hz)
-    for number, (low, high) in enumerate(itertools.pairwise(edges)):
-        if high <= rate / 2:
-            within = (spectrum.frequency >= low) & (spectrum.frequency < high)
-            density[number] = spectrum.psd[within].mean()
+    """Return the noise of an effort (n,), at `rate` Hz: the median of parts, of which a transient
+    such as homing is one."""
+    segment = max(16, round(SEGMENT_PERIODS * rate / bandwidth_hz))
+    parts = np.array_split(effort, min(max(len(effort) // (2 * segment), 1), MOST_PARTS))
+    density = np.median([_density(part, segment, rate, bandwidth_hz) for part in parts], axis=0)
     step = float(np.ptp(effort)) / max(len(np.unique(effort)) - 1, 1)
     scatter = max(float(np.var(np.diff(effort))) / 2 - step**2 / 12, 0.0)
     dither = math.exp(-min((2 * math.pi) ** 2 * scatter / max(step**2, 1e-300), 700.0))
     return EffortNoise(density, step**2 / 12 * dither)
+
+
+def _density(effort: Array, segment: int, rate: float, bandwidth_hz: float) -> Array:
+    """Return the density (o,) in each octave, NaN beyond half the sampling frequency."""
+    welch = Welch(segment)
+    welch.add(effort)
+    spectrum = welch.spectrum(1 / rate)
+    density, edges = np.full(OCTAVES, np.nan), _edges(bandwidth_hz)
+    for number, (low, high) in enumerate(itertools.pairwise(edges)):
+        if high <= rate / 2:
+            within = (spectrum.frequency >= low) & (spectrum.frequency < high)
+            density[number] = spectrum.psd[within].mean()
+    return density
 
 
 def _lag(ratio: Array, bandwidth_hz: float) -> float:
