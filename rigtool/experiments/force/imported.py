@@ -36,6 +36,9 @@ MOST_BEYOND = 0.25
 END_SHARE = 1e-3
 """Part of the samples at either end of the way that do not show how far strokes go."""
 
+LEAST_NOISIER = 1.1
+"""Factor by noise that was not learned, on u, from which on a note states it."""
+
 FAST_SPEED = 0.25
 """Strokes count as moving fast from this speed of the output on, rad/s, as by O'Neill et al., IEEE
 RA-L 3(4) 3027-3034, 2018."""
@@ -58,7 +61,7 @@ def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None)
     model, unit = load_model_from(tables)
     _require_learned_here(runs, tables)
     read = read_all(runs, kt, model.bandwidth_hz, unit)
-    measured = [Measured(one, model.estimate(one.effort, one.path)) for one in read]
+    measured = [Measured(one, model.read(one)) for one in read]
     _require_stroke(measured, model, tables)
     notes = [*_require_inside(measured, model), *_also_learned(runs, tables)]
     measured, remarks = of_this_zero(measured, model)
@@ -111,7 +114,7 @@ def of_this_zero(
     back *= model.scales.high - model.scales.low
     found = []
     for item in measured:
-        moved = model.estimate(item.signals.effort, item.signals.path.moved(back))
+        moved = model.read(replace(item.signals, path=item.signals.path.moved(back)))
         apart = np.abs(moved.moving - item.estimate.moving)
         largest = float(np.max(apart, where=np.isfinite(apart), initial=0.0))
         doubt = np.nan_to_num(apart, nan=largest)
@@ -173,8 +176,9 @@ def _of_this_mounting(
 
 
 def _loop_parts(item: Measured, model: LoadModel) -> tuple[float, float]:
-    path = item.signals.path
-    return model.loop.parts(model.place(path), path.speed > 0, item.estimate.compared)
+    path, estimate = item.signals.path, item.estimate
+    offset, shape = model.loop.parts(model.place(path), path.speed > 0, estimate.compared)
+    return offset / estimate.noisier, shape / estimate.noisier
 
 
 def _require_learned_here(runs: Sequence[Run], tables: Run) -> None:
@@ -220,6 +224,14 @@ def _require_inside(measured: Sequence[Measured], model: LoadModel) -> list[str]
         notes.append(
             f"strokes of {elsewhere} runs are at places of which none was learned: u is wider, up "
             f"to {factor:.2g} times, as strokes show that were left out of learning"
+        )
+    noisier = [item.estimate.noisier for item in measured]
+    if max(noisier) > LEAST_NOISIER:
+        count = sum(one > LEAST_NOISIER for one in noisier)
+        notes.append(
+            f"u of {count} runs is wider, up to {max(noisier):.2g} times: their effort has more "
+            "noise or coarser steps than where it was learned, or passed a low-pass that was not "
+            "there"
         )
     if wild.any():
         where = [item for item in measured if (~item.signals.path.regular).any()]

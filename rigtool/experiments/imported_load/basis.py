@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.imported_load.noise import EffortNoise
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.checks import require_rising, require_signals
 from rigtool.numerics.lowpass import lowpass
@@ -109,6 +110,7 @@ class LoadSignals:
     output_speed: Array
     place: Array
     reference: Array | None
+    noise: EffortNoise
 
     @property
     def sensor(self) -> Array:

@@ -12,6 +12,7 @@ from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.imported import place as named
 from rigtool.experiments.imported import position_of, recordings_of, require_one_rig
 from rigtool.experiments.imported_load.basis import LoadSignals, path_of
+from rigtool.experiments.imported_load.noise import noise_of
 from rigtool.experiments.torque_per_ampere import effort_of
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.runfile import Recording, Run
@@ -55,11 +56,12 @@ def _read(recording: Recording, kt: Run | None, bandwidth_hz: float) -> LoadSign
     output = recording.read("output_position") if has_output else motor
     has_place = recording.has("reference_position")
     place = recording.read("reference_position") if has_place else output
+    time = recording.read("time")
     sensor = [recording.read(REFERENCE_CHANNEL)] if recording.has(REFERENCE_CHANNEL) else []
     try:
         limited = at_limit(effort.values).astype(np.float64)
         path, (values, limited, output, place, *reference) = path_of(
-            recording.read("time"),
+            time,
             motor,
             bandwidth_hz,
             effort.values,
@@ -81,6 +83,7 @@ def _read(recording: Recording, kt: Run | None, bandwidth_hz: float) -> LoadSign
         output_speed=sign * speed,
         place=place,
         reference=reference[0] if reference else None,
+        noise=noise_of(effort.values, (len(time) - 1) / (time[-1] - time[0]), bandwidth_hz),
     )
 
 

@@ -9,6 +9,7 @@ torque, against the load and with it, friction takes
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.force_filter.motion_states import LARGEST_LEARNED_RATIO
+from rigtool.experiments.force_filter.motion_states import LARGEST_LEARNED_RATIO, State
 from rigtool.experiments.imported_load.basis import (
     LoadSignals,
     Scales,
@@ -30,6 +31,7 @@ from rigtool.experiments.imported_load.model import (
     Side,
     stroke_of,
 )
+from rigtool.experiments.imported_load.noise import learned_noise
 from rigtool.experiments.imported_load.region import (
     MARGIN,
     NARROW,
@@ -37,7 +39,7 @@ from rigtool.experiments.imported_load.region import (
     cell_means,
     learn_region,
 )
-from rigtool.experiments.imported_load.side import Fit, HeldOut, Rows, groups_for
+from rigtool.experiments.imported_load.side import INTERVAL_COVERAGE, Fit, HeldOut, Rows, groups_for
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.jackknife import standard_uncertainty
 
@@ -178,7 +180,9 @@ def learn_load_model(
         direction=direction,
         region=learn_region(place, speed, torque, _margins(sides, direction) * spacing),
         loop=learn_loop(place, speed > 0, measured, recording),
+        noise=learned_noise([item.noise.by(effort_scale) for item in signals]),
     )
+    model = replace(model, slack=_slack(model, signals, level))
     against = direction * speed > 0
     each = [np.concatenate(pair) for pair in zip(*(out.slopes for out in held), strict=False)]
     friction = _friction(place, against, scales, slope, each)
@@ -261,6 +265,25 @@ def _margins(sides: Sequence[Side], direction: int) -> Array:
             if carried and not driving and side.factors[end] <= ALIKE_RATIO * others.max():
                 row[end] = MARGIN
     return margins
+
+
+def _slack(model: LoadModel, signals: Sequence[LoadSignals], level: Numbers) -> float:
+    """Return by how much dead bands have to be wider, without unit, to hold the torque at each of
+    the levels, numbered (r,).
+
+    Friction at rest may exceed that of any speed that was learned, of which the bands are made.
+    """
+    chosen = np.unique(np.linspace(0, len(signals) - 1, MAX_FOLDS).round().astype(int))
+    beyond: dict[int, list[Array]] = {}
+    for number in chosen.tolist():
+        one = signals[number]
+        found = model.read(one)
+        hidden = np.isin(found.states, (State.REVERSED, State.STILL))
+        apart = (np.abs(found.torque - one.sensor) - math.sqrt(3) * found.u)[hidden]
+        if apart.size:
+            beyond.setdefault(int(level[number]), []).append(apart / model.scales.torque)
+    parts = [np.quantile(np.concatenate(own), INTERVAL_COVERAGE) for own in beyond.values()]
+    return max(0.0, *map(float, parts)) if parts else 0.0
 
 
 def _friction(

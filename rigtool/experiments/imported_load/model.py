@@ -21,9 +21,22 @@ from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import State, States
-from rigtool.experiments.imported_load.basis import LOAD_POWER, Scales, ShaftPath, motion_functions
+from rigtool.experiments.imported_load.basis import (
+    LOAD_POWER,
+    LoadSignals,
+    Scales,
+    ShaftPath,
+    motion_functions,
+)
 from rigtool.experiments.imported_load.loop import StrokeLoop
-from rigtool.experiments.imported_load.region import DRIVEN, Region, of_known_strokes, reached
+from rigtool.experiments.imported_load.noise import LearnedNoise
+from rigtool.experiments.imported_load.region import (
+    DRIVEN,
+    Region,
+    beside_known,
+    of_known_strokes,
+    reached,
+)
 from rigtool.numerics.arrays import Array, Mask
 
 SIDE_SIGNS = (1, -1)
@@ -53,12 +66,14 @@ class TorqueEstimate:
     torque is the middle of a dead band and u that of a rectangular distribution (GUM 4.3.7).
     Outside what was learned, and where nothing bounds the torque, both are NaN. `compared` shows
     the mounting: without unit, it has opening strokes besides that may be of heavier loads.
+    `noisier` is what noise of the effort that was not learned multiplies u by.
     """
 
     torque: Array
     u: Array
     states: States
     compared: Array
+    noisier: float
 
     @property
     def inside(self) -> Mask:
@@ -123,7 +138,8 @@ class LoadModel:
 
     Effort is in units of `effort_scale`; `torque_range` are the lowest and highest torque that are
     looked at, without unit; `direction` is the sign of the speed against which the load acts;
-    `loop` is what shows that runs are of the mounting that was learned.
+    `loop` is what shows that runs are of the mounting that was learned; dead bands are wider by
+    `slack` at either end, without unit.
     """
 
     scales: Scales
@@ -135,6 +151,8 @@ class LoadModel:
     direction: int
     region: Region
     loop: StrokeLoop
+    noise: LearnedNoise
+    slack: float = 0.0
 
     def place(self, path: ShaftPath) -> Array:
         """Return the position (n,) as part of the learned stroke."""
@@ -146,10 +164,22 @@ class LoadModel:
         middle, length = stroke_of(path)
         return bool(np.abs(middle - self.strokes).min() > APART_STROKE * length)
 
-    def estimate(self, effort: Array, path: ShaftPath) -> TorqueEstimate:
-        """Return the torque at the rows (n,) of a path whose effort is given."""
+    def read(self, signals: LoadSignals) -> TorqueEstimate:
+        """Return the torque at the rows (n,) of a recording."""
+        noise = signals.noise.by(self.effort_scale)
+        variance, lag = self.noise.beyond(noise, self.bandwidth_hz)
+        rate = np.gradient(signals.effort / self.effort_scale, signals.path.time)
+        doubt = np.sqrt(variance + (lag * rate) ** 2)
+        return self.estimate(signals.effort, signals.path, doubt)
+
+    def estimate(
+        self, effort: Array, path: ShaftPath, doubt: Array | float = 0.0
+    ) -> TorqueEstimate:
+        """Return the torque at the rows (n,) of a path whose effort is given; `doubt` (n,) is its
+        standard uncertainty beside what was learned, without unit."""
+        doubt = np.broadcast_to(doubt, effort.shape)
         speed, unit = path.speed / self.scales.speed, self.scales.torque
-        torque, u, share = (np.full(len(speed), np.nan) for _ in range(3))
+        torque, u, share, doubted = (np.full(len(speed), np.nan) for _ in range(4))
         elsewhere = self.elsewhere(path)
         for sign, side in zip(SIDE_SIGNS, self.sides, strict=True):
             mask = speed < 0 if sign < 0 else speed >= 0
@@ -158,7 +188,10 @@ class LoadModel:
             spread, slope = side.spread(design, speed, found)
             torque[mask] = np.where(known, found, np.nan)[mask]
             spread *= side.elsewhere if elsewhere else 1.0
-            u[mask], share[mask] = spread[mask], slope[mask] / side.slope
+            with np.errstate(invalid="ignore", divide="ignore"):
+                wider = np.hypot(spread, doubt / slope)
+            u[mask], share[mask] = wider[mask], slope[mask] / side.slope
+            doubted[mask] = (wider / spread)[mask]
         still = np.abs(path.speed) < self.scales.standstill
         hidden = still | (share < FLAT_SLOPE)
         place = self.place(path)
@@ -172,15 +205,21 @@ class LoadModel:
         known &= most
         states = np.where(self.direction * speed >= 0, State.AGAINST, State.WITH)
         states[hidden] = np.where(still, State.STILL, State.REVERSED)[hidden]
-        low, high = self._dead_band(effort, path, hidden)
+        low, high = self._dead_band(effort, path, hidden, doubt)
         bounded = hidden & path.regular & reached(place) & np.isfinite(low + high)
+        # At an end of the range a load beyond it may act, unless strokes beside show one within
+        within = (low > self.torque_range[0]) & (high < self.torque_range[1])
+        bounded &= within | beside_known(known, way)
         states[~known & ~bounded] = State.OUTSIDE
         torque = np.where(known, torque, (low + high) / 2)
         u = np.where(known, u, (high - low) / math.sqrt(12))
         torque, u = np.where(states == State.OUTSIDE, np.nan, unit * np.stack([torque, u]))
-        return TorqueEstimate(torque, u, states, compared)
+        noisier = float(np.sqrt(np.mean(doubted[known] ** 2))) if known.any() else 1.0
+        return TorqueEstimate(torque, u, states, compared, noisier)
 
-    def _dead_band(self, effort: Array, path: ShaftPath, hidden: Mask) -> tuple[Array, Array]:
+    def _dead_band(
+        self, effort: Array, path: ShaftPath, hidden: Mask, doubt: Array
+    ) -> tuple[Array, Array]:
         """Return the torques (n,), without unit, between which the load is where friction may act
         either way: at most the range that was learned."""
         edges, half = np.full((2, 2, len(effort)), np.nan)
@@ -192,11 +231,14 @@ class LoadModel:
                 scaled = effort[hidden] / self.effort_scale
                 found, _ = design.solve(side.weights, scaled, self.torque_range)
                 edges[number, hidden] = found
-                half[number, hidden] = COVERAGE_FACTOR * side.spread(design, speed, found)[0]
+                spread, slope = side.spread(design, speed, found)
+                with np.errstate(invalid="ignore", divide="ignore"):
+                    wider = np.hypot(spread, doubt[hidden] / slope)
+                half[number, hidden] = COVERAGE_FACTOR * wider
         order = np.argsort(edges, axis=0)
         low, high = np.take_along_axis(edges, order, axis=0)
         low = np.where(low < high, low, np.nan)  # else both are beyond one end of the range
-        wider = np.take_along_axis(half, order, axis=0)
+        wider = np.take_along_axis(half, order, axis=0) + self.slack
         lowest, highest = self.torque_range
         return np.maximum(low - wider[0], lowest), np.minimum(high + wider[1], highest)
 

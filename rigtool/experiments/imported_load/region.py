@@ -80,6 +80,15 @@ def of_known_strokes(
     return found
 
 
+def beside_known(known: Mask, direction: Array) -> Mask:
+    """Return which rows (n,) are in a stroke with a `known` row, or next to one; between strokes
+    the `direction` (n,) may be zero."""
+    stroke = np.cumsum(np.diff(direction, prepend=direction[:1]) != 0)
+    near = np.convolve(np.bincount(stroke, known) > 0, np.ones(5))[2:-2] > 0
+    found: Mask = near[stroke]
+    return found
+
+
 def cells_of(place: Array) -> NDArray[np.intp]:
     """Return the cell (n,) of each place on the stroke."""
     found: NDArray[np.intp] = np.clip(

@@ -15,6 +15,7 @@ from rigtool.errors import RunFileError
 from rigtool.experiments.imported_load.basis import FUNCTION_GROUPS, Scales, size_of
 from rigtool.experiments.imported_load.loop import StrokeLoop
 from rigtool.experiments.imported_load.model import SIDE_SIGNS, LoadModel, Side
+from rigtool.experiments.imported_load.noise import OCTAVES, LearnedNoise
 from rigtool.experiments.imported_load.region import STROKE_CELLS, Region
 from rigtool.runfile import Column, Run, Table
 
@@ -33,6 +34,7 @@ _SCALES = {
     "highest": ("1", "torque that is looked for, by its unit"),
     "bandwidth": ("Hz", "of all signals"),
     "direction": ("1", "of the speed that the load resists"),
+    "slack": ("1", "of dead bands at either end, by the unit of torque"),
 }
 
 _REGION = {
@@ -57,7 +59,7 @@ def _table(index: str, columns: Mapping[str, tuple[Any, ...]], main: str, about:
 
 def model_tables(model: LoadModel, effort_unit: str) -> dict[str, Table]:
     """Return the tables of a model; `effort_unit` is that of what the motor does."""
-    sides, loop = model.sides, model.loop
+    sides, loop, noise = model.sides, model.loop, model.noise
     groups = [
         np.repeat(
             [FUNCTION_GROUPS.index(g) for g in side.groups], [size_of(g) for g in side.groups]
@@ -75,6 +77,7 @@ def model_tables(model: LoadModel, effort_unit: str) -> dict[str, Table]:
         "highest": model.torque_range[1],
         "bandwidth": model.bandwidth_hz,
         "direction": float(model.direction),
+        "slack": model.slack,
     }
     signs = (np.array(SIDE_SIGNS, dtype=float), "1", "sign of the speed")
     levels = [len(side.levels) for side in sides]
@@ -168,6 +171,17 @@ def model_tables(model: LoadModel, effort_unit: str) -> dict[str, Table]:
             "middle",
             "places of the strokes that were learned",
         ),
+        "_noise": _table(
+            "octave",
+            {
+                "octave": (np.arange(OCTAVES), "1", "from twice the bandwidth on"),
+                "lowest": (noise.lowest, "s", "density"),
+                "highest": (noise.highest, "s", "density"),
+                "rounding": (np.full(OCTAVES, noise.rounding), "1", "variance, of all frequencies"),
+            },
+            "highest",
+            "noise of the effort above the bandwidth, by its unit squared",
+        ),
         "_loop": _table(
             "cell",
             {
@@ -208,9 +222,12 @@ def load_model_from(run: Run) -> tuple[LoadModel, str]:
 
 
 def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
-    terms, scales, covariance, scatter, factors, region, loop = (
+    terms, scales, covariance, scatter, factors, region, noise, loop = (
         tables[MODEL_TABLE + part]
-        for part in ("", "_scales", "_covariance", "_scatter", "_factors", "_region", "_loop")
+        for part in (
+            *("", "_scales", "_covariance", "_scatter"),
+            *("_factors", "_region", "_noise", "_loop"),
+        )
     )
     sides = []
     for number, sign in enumerate(SIDE_SIGNS):
@@ -243,5 +260,7 @@ def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
         loop=StrokeLoop(
             loop["mean"], loop["shape"], float(loop["offset"][0]), int(loop["recordings"][0])
         ),
+        slack=float(scales["slack"][0]),
+        noise=LearnedNoise(noise["lowest"], noise["highest"], float(noise["rounding"][0])),
     )
     return model, scales.columns["effort"].unit

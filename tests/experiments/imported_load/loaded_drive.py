@@ -3,6 +3,7 @@
 import numpy as np
 
 from rigtool.experiments.imported_load.basis import LoadSignals, path_of
+from rigtool.experiments.imported_load.noise import noise_of
 
 RATE = 200.0
 BANDWIDTH_HZ = 5.0
@@ -35,9 +36,14 @@ def record(
 
 def observe(load, frequency, **more):
     """Return a recording as one to learn from."""
-    time, position, effort, torque = record(load, frequency, **more)
+    return signals(*record(load, frequency, **more))
+
+
+def signals(time, position, effort, torque):
+    """Return a recording's signals as an analysis reads them."""
+    noise = noise_of(effort, RATE, BANDWIDTH_HZ)
     path, (effort, torque) = path_of(time, position, BANDWIDTH_HZ, effort, torque)
-    return LoadSignals(path, effort, "A", path.speed, path.position, torque)
+    return LoadSignals(path, effort, "A", path.speed, path.position, torque, noise)
 
 
 def observations(loads=(0.02, 0.04, 0.06, 0.08), frequencies=(0.1, 0.2, 0.3), **more):

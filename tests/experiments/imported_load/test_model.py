@@ -40,6 +40,7 @@ from tests.experiments.imported_load.loaded_drive import (
     observations,
     observe,
     record,
+    signals,
 )
 
 
@@ -433,3 +434,29 @@ def test_covariances_are_covariances(learned):
     for side in learned.model.sides:
         assert {"offset", "load"} <= set(side.groups)
         assert (np.linalg.eigvalsh(side.covariance) > -1e-9 * np.trace(side.covariance)).all()
+
+
+def test_dead_bands_hold_friction_at_rest_beyond_that_of_any_learned_speed():
+    def sticking(load, frequency, seed):
+        time, position, effort, torque = record(load, frequency, seed=seed, seconds=30.0)
+        speed = np.gradient(position, time)  # 1 rad/s is slower than what counts as moving
+        return signals(time, position, effort + 0.05 * np.sign(speed) * np.exp(-(speed**2)), torque)
+
+    speeds, held = (0.03, 0.05, 0.1), []
+    items = [sticking(m, f, 50 + n) for n, (m, f) in enumerate(product((0.02, 0.06, 0.1), speeds))]
+    model = learn_load_model(items).model
+    for seed, (load, frequency) in enumerate(product((0.04, 0.08), speeds)):
+        item = sticking(load, frequency, 90 + seed)
+        found = model.read(item)
+        hidden = np.isin(found.states, (State.STILL, State.REVERSED))
+        held.append((np.abs(found.torque - item.sensor) <= math.sqrt(3) * found.u)[hidden])
+    assert np.mean(np.concatenate(held)) > 0.85
+
+
+def test_dead_bands_of_loads_beyond_the_learned_ones_have_no_value(learned):
+    for load in (0.12, 0.2):
+        item = observe(load, 0.2, seed=13)
+        found = learned.model.read(item)
+        hidden = np.isin(found.states, (State.STILL, State.REVERSED))
+        apart = np.abs(found.torque - item.sensor) > math.sqrt(3) * found.u
+        assert not (apart & hidden).any()

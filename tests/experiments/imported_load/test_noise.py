@@ -1,0 +1,82 @@
+"""How an effort was recorded: noise, steps and a low-pass that were not learned."""
+
+import numpy as np
+import pytest
+
+from rigtool.experiments.imported_load.learning import learn_load_model
+from rigtool.experiments.imported_load.noise import EffortNoise, learned_noise, noise_of
+from rigtool.numerics.lowpass import delayed, lowpass
+from tests.experiments.imported_load.loaded_drive import (
+    RATE,
+    observations,
+    record,
+    signals,
+)
+
+OTHERWISE = {
+    "noise": lambda effort, random: effort + random.normal(0, 0.03, len(effort)),
+    "steps": lambda effort, random: 0.02 * np.round(effort / 0.02),
+    "low-pass": lambda effort, random: delayed(RATE, effort, 10.0),
+}
+
+
+@pytest.fixture(scope="module")
+def model():
+    return learn_load_model(observations(frequencies=(0.15, 0.2, 0.3))).model
+
+
+@pytest.mark.parametrize("how", OTHERWISE)
+def test_intervals_hold_where_the_current_is_recorded_otherwise(model, how):
+    random, held, wider = np.random.default_rng(31), [], []
+    for load in (0.03, 0.05, 0.07):
+        for frequency in (0.15, 0.3):
+            time, position, effort, torque = record(
+                load, frequency, seed=random.integers(1 << 31), drift=random.normal(0, 1e-3)
+            )
+            own = model.read(signals(time, position, effort, torque))
+            other = signals(time, position, OTHERWISE[how](effort, random), torque)
+            found = model.read(other)
+            inside = found.inside
+            held.append((np.abs(found.torque - other.sensor) <= 1.96 * found.u)[inside])
+            wider.append(np.median(found.u[inside]) / np.median(own.u[own.inside]))
+            assert own.noisier == pytest.approx(1, abs=0.1)
+            assert inside.sum() > 0.8 * own.inside.sum()
+    assert np.mean(np.concatenate(held)) > 0.93
+    assert min(wider) > 1.05
+
+
+def test_white_noise_in_the_band_is_what_the_low_pass_lets_through():
+    random = np.random.default_rng(3)
+    quiet, loud = random.normal(0, [[0.1], [2.0]], (2, 200_000))
+    learned = learned_noise([noise_of(quiet, 1000.0, 5.0)])
+    variance, lag = learned.beyond(noise_of(loud, 1000.0, 5.0), 5.0)
+    assert variance == pytest.approx(np.var(lowpass(1000.0, loud, 5.0)), rel=0.1)
+    assert lag == 0
+    assert learned.beyond(noise_of(quiet, 1000.0, 5.0), 5.0) == (0, 0)
+
+
+def test_a_transient_is_no_noise_of_the_whole_recording():
+    noise = np.random.default_rng(5).normal(0, 0.1, 20_000)
+    homing = noise + np.where(np.arange(20_000) < 3000, 5 * np.sign(np.sin(np.arange(20_000))), 0)
+    found, expected = (noise_of(one, 1000.0, 5.0).density for one in (homing, noise))
+    np.testing.assert_allclose(found[:6], expected[:6], rtol=0.3)
+
+
+@pytest.mark.parametrize("pole_hz", [4.0, 20.0, 60.0])
+def test_the_lag_of_a_low_pass_is_found_by_its_noise(pole_hz):
+    frequency = 5.0 * 2.0 ** (np.arange(8) + 1.5)
+    power = 1 / (1 + (frequency / pole_hz) ** 2)
+    learned = learned_noise([EffortNoise(np.full(8, c), 0.0) for c in (1.0, 1.3)])
+    _, lag = learned.beyond(EffortNoise(power, 0.0), 5.0)
+    assert lag == pytest.approx(1 / (2 * np.pi * pole_hz), rel=0.05)
+    assert learned.beyond(EffortNoise(np.full(8, 0.01), 0.0), 5.0) == (0, 0)  # less noise alone
+    filtered = learned_noise([EffortNoise(power, 0.0)])
+    assert filtered.beyond(EffortNoise(np.ones(8), 0.0), 5.0)[1] == pytest.approx(lag, rel=0.3)
+
+
+def test_rounding_counts_where_noise_does_not_spread_it():
+    random, ramp = np.random.default_rng(4), np.linspace(0, 40.3, 100_000)
+    for scatter, left in ((0.0, 1.0), (0.5, 0.0)):
+        found = noise_of(np.round(ramp + random.normal(0, scatter, len(ramp))), 1000.0, 5.0)
+        assert found.rounding == pytest.approx(left / 12, abs=0.01)
+    assert noise_of(ramp, 1000.0, 5.0).rounding < 1e-6
