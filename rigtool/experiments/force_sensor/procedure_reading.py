@@ -124,10 +124,13 @@ def read_recording(
                 breaks += 1
                 parts += [] if stretch is None else stretch.reading()
                 read += 0.0 if stretch is None else stretch.seconds
+                stretch = None
+            if not block.shape[1]:
+                continue
+            if stretch is None:
                 began, left = float(block[0, 0]), recording.size - done
                 stretch = Stretch(recording.name, instrument, began, left, workers)
             done += block.shape[1]
-            assert stretch is not None
             stretch.add(block[1:])
         if stretch is not None:
             parts += stretch.reading()
@@ -152,7 +155,9 @@ def unbroken_blocks(
 ) -> Iterator[tuple[Array, bool]]:
     """Yield the channels (c, n), time first, and whether a sample is missing before them.
 
-    Samples with NaN are left out; a reference may be NaN, and informs nothing.
+    Samples with NaN are left out; a reference may be NaN, and informs nothing. Of what lies between
+    two gaps and is too short to be analysed, no sample is yielded: thousands of filters would begin
+    for nothing.
     """
     names = (
         (*NEEDED_CHANNELS, REFERENCE_CHANNEL)
@@ -161,6 +166,7 @@ def unbroken_blocks(
     )
     grid, interval = instrument.grid, instrument.interval
     piece = max(1, round(PIECE_STEPS * grid.step_time / interval))
+    shortest = shortest_stretch(instrument.corner_hz) - 2 * grid.step_time
     before, number = np.zeros(0), 0
     for block in recording.blocks(*names, finite=False, size=BLOCK):
         samples = np.array(block)
@@ -171,6 +177,9 @@ def unbroken_blocks(
         good = np.concatenate([before == before, good])
         for span in unbroken(time, good, interval):
             begins = span.start > 0 or not before.size
+            if begins and span.stop < time.size and (span.stop - span.start) * interval < shortest:
+                yield samples[:, :0], True
+                continue
             rows = slice(max(0, span.start - before.size), span.stop - before.size)
             for part in range(rows.start, rows.stop, piece):
                 yield samples[:, part : min(part + piece, rows.stop)], begins
