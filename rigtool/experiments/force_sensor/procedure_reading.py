@@ -22,7 +22,12 @@ from rigtool.experiments.force_filter.estimate import (
     without_delay,
 )
 from rigtool.experiments.force_filter.highest import highest
-from rigtool.experiments.force_filter.motion_states import Moments, Reach, State
+from rigtool.experiments.force_filter.motion_states import (
+    LARGEST_LEARNED_RATIO,
+    Moments,
+    Reach,
+    State,
+)
 from rigtool.experiments.force_model.contacts import Contact, contacts, trial
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.intervals import uncertainty_of_kinds
@@ -137,7 +142,9 @@ def read_recording(
             read += stretch.seconds
     (first,) = recording.read("time", 0, 1)
     (last,) = recording.read("time", recording.size - 1)
-    lost, unended = last + interval - first - read, 2 * instrument.grid.step_time
+    # without a gap samples count: their clock may be off the interval by a part in a million
+    lasts = last + interval - first if breaks else recording.size * interval
+    lost, unended = lasts - read, 2 * instrument.grid.step_time
     lost = lost if breaks or not parts or lost > unended else 0.0
     return Recorded(recording.name, tuple(parts), breaks, lost)
 
@@ -308,6 +315,9 @@ class Stretch:
         if referred and np.isfinite(found := self._taken("reference")).any():
             reference, judged = filled(found, round(rate / corner_hz))
         torque, states = held_lowpass(rate, torque, corner_hz), self._taken("states")
+        states[np.abs(torque) > LARGEST_LEARNED_RATIO * self._instrument.reach.torque] = (
+            State.OUTSIDE
+        )
         faults = self._watch.faults()
         rows, causal_states = slice(None, None, every), self._taken("causal_states")
         for fault in faults:
