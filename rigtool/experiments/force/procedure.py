@@ -222,9 +222,10 @@ def _require_inputs(recipe: Recipe, kt: Run, tables: Run) -> None:
 
 def _require_as_stored(run: Run, recipe: Recipe, keys: Sequence[str], which: str) -> None:
     """Raise `UsageError` where a setting was given that changes nothing in the run's reading."""
+    stored = run.recipe or recipe
     for key in keys:
         value = attrgetter(key)
-        if run.recipe is not None and value(run.recipe) != value(recipe):
+        if value(stored) != value(recipe):
             raise UsageError(
                 f"{key} = {value(recipe)} changes nothing in how {run.path} is read, which "
                 f"{which}: leave it out"
