@@ -5,6 +5,8 @@ import pytest
 from tests.cli.test_run_commands import call
 from tests.experiments.virtual_runs import RECIPE, write_kt
 
+FIXTURES = RECIPE.parents[1] / "tests" / "fixtures"
+
 
 @pytest.mark.parametrize(
     ("options", "code", "message"),
@@ -41,3 +43,21 @@ def test_a_stored_run_is_not_recorded(tmp_path, capsys):
     code, _, err = call(capsys, "measure-force", *arguments)
     assert code == 2
     assert "leave them out" in err
+
+
+@pytest.mark.parametrize(
+    ("stored", "options", "message"),
+    [
+        ("friction", ["--correction", "full"], "correction = full changes nothing"),
+        ("friction", ["--set", "measure_force.measure_angle=30"], "which has no known loads"),
+        ("force", ["--set", "measure_force.motion.bandwidth_hz=5"], "which has known loads"),
+        ("force", ["--live-window"], "of stored runs nothing is"),
+    ],
+)
+def test_what_a_stored_run_has_no_use_for_is_refused(tmp_path, capsys, stored, options, message):
+    kt, output = write_kt(tmp_path), tmp_path / "again.h5"
+    source = FIXTURES / f"{stored}.h5"
+    arguments = [source, "--kt", kt, "--tables", kt, "-o", output, *options]
+    code, _, err = call(capsys, "measure-force", *arguments)
+    assert (code, message in err) == (2, True), err
+    assert not output.exists()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from operator import attrgetter
 
 import numpy as np
 
@@ -45,6 +46,19 @@ from rigtool.rigs.motion import Triangle
 from rigtool.runfile import RecordingSpec, Run, RunWriter
 
 HYSTERESIS, SHIFT = "hysteresis", "shift"
+
+KNOWN_LOAD_SETTINGS = (
+    "measure_force.correction",
+    "measure_force.measure_angle",
+    "measure_force.lowpass_hz",
+    "measure_force.zero",
+    "rig.weights_relative_u",
+    "rig.pulley_radius_u",
+    "rig.instrument.grasper_length_u",
+    "rig.instrument.angle_ratio_relative_u",
+)
+OVER_TIME_SETTINGS = ("measure_force.motion.bandwidth_hz",)
+"""Settings by which stored signals are read, with known loads and without."""
 
 
 HIDDEN_DOF = 4.5
@@ -111,16 +125,18 @@ def strokes(recipe: Recipe, cycles: int) -> Triangle:
 def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: Run) -> Outcome:
     """Read the force of each load from the stored currents, with its uncertainty.
 
-    A run without known loads gives the torque over time. Raises `UsageError` for several runs,
-    `RunFileError` for inputs of another rig, `InsufficientDataError` where the signals do not carry
-    a reading.
+    A run without known loads gives the torque over time. Raises `UsageError` for several runs, and
+    for settings of the other one of both readings, `RunFileError` for inputs of another rig,
+    `InsufficientDataError` where the signals do not carry a reading.
     """
     if len(runs) > 1:
         raise UsageError(f"{len(runs)} run files: measure-force takes one, with all its loads")
     run = runs[0]
     recorded = run.recordings_named("load_")
     if not recorded:
+        _require_as_stored(run, recipe, KNOWN_LOAD_SETTINGS, "has no known loads")
         return analyse_over_time(runs, recipe, kt=kt, tables=tables)
+    _require_as_stored(run, recipe, OVER_TIME_SETTINGS, "has known loads")
     _require_inputs(recipe, kt, tables)
     require_slow_strokes(recipe, strokes(recipe, 1))
     per_ampere = torque_per_ampere(kt, recorded)
@@ -211,6 +227,18 @@ def _require_inputs(recipe: Recipe, kt: Run, tables: Run) -> None:
         corrects(tables, recipe)
 
 
+def _require_as_stored(run: Run, recipe: Recipe, keys: Sequence[str], which: str) -> None:
+    """Raise `UsageError` where a setting was given that changes nothing in the run's reading."""
+    stored = run.recipe or recipe
+    for key in keys:
+        value = attrgetter(key)
+        if value(stored) != value(recipe):
+            raise UsageError(
+                f"{key} = {value(recipe)} changes nothing in how {run.path} is read, which "
+                f"{which}: leave it out"
+            )
+
+
 def _constant_at_one_angle(mean: Quantity, kt: Run) -> Quantity:
     """Return the mean torque constant with the uncertainty that it has at a single rotor angle.
 
@@ -280,15 +308,5 @@ PROCEDURE = Procedure(
     needed=("kt",),
     accepts=("ilc-learn", "identify-plant", "stribeck", "fft-ripple"),
     analyse_imported=analyse_imported,
-    analysis_settings=(
-        "measure_force.measure_angle",
-        "measure_force.lowpass_hz",
-        "measure_force.correction",
-        "measure_force.zero",
-        "measure_force.motion.bandwidth_hz",
-        "rig.weights_relative_u",
-        "rig.pulley_radius_u",
-        "rig.instrument.grasper_length_u",
-        "rig.instrument.angle_ratio_relative_u",
-    ),
+    analysis_settings=(*KNOWN_LOAD_SETTINGS, *OVER_TIME_SETTINGS),
 )

@@ -12,7 +12,6 @@ The filter's equations are a leapfrog: speeds belong to the begin of a sample, a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,12 +145,7 @@ class Stepper:
 
 def unbroken(time: Array, good: NDArray[np.bool_], interval: float) -> list[slice]:
     """Return the stretches in which no sample is missing and all are good, (n,) each."""
-    edges = np.diff(good.astype(np.int8), prepend=0, append=0)
-    gap = np.flatnonzero(np.abs(np.diff(time) - interval) > interval / 2) + 1
-    begins = np.flatnonzero(edges > 0)
-    ends = np.flatnonzero(edges < 0)
-    found = []
-    for begin, end in zip(begins, ends, strict=True):
-        cuts = [int(begin), *gap[(gap > begin) & (gap < end)].tolist(), int(end)]
-        found += [slice(a, b) for a, b in pairwise(cuts)]
-    return found
+    follows = good[1:] & good[:-1] & (np.abs(np.diff(time) - interval) <= interval / 2)
+    begins = np.flatnonzero(good & ~np.append(False, follows)).tolist()
+    ends = np.flatnonzero(good & ~np.append(follows, False)).tolist()
+    return [slice(begin, end + 1) for begin, end in zip(begins, ends, strict=True)]

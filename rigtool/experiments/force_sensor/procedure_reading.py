@@ -22,7 +22,12 @@ from rigtool.experiments.force_filter.estimate import (
     without_delay,
 )
 from rigtool.experiments.force_filter.highest import highest
-from rigtool.experiments.force_filter.motion_states import Moments, Reach, State
+from rigtool.experiments.force_filter.motion_states import (
+    LARGEST_LEARNED_RATIO,
+    Moments,
+    Reach,
+    State,
+)
 from rigtool.experiments.force_model.contacts import Contact, contacts, trial
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.intervals import uncertainty_of_kinds
@@ -124,17 +129,22 @@ def read_recording(
                 breaks += 1
                 parts += [] if stretch is None else stretch.reading()
                 read += 0.0 if stretch is None else stretch.seconds
+                stretch = None
+            if not block.shape[1]:
+                continue
+            if stretch is None:
                 began, left = float(block[0, 0]), recording.size - done
                 stretch = Stretch(recording.name, instrument, began, left, workers)
             done += block.shape[1]
-            assert stretch is not None
             stretch.add(block[1:])
         if stretch is not None:
             parts += stretch.reading()
             read += stretch.seconds
     (first,) = recording.read("time", 0, 1)
     (last,) = recording.read("time", recording.size - 1)
-    lost, unended = last + interval - first - read, 2 * instrument.grid.step_time
+    # without a gap samples count: their clock may be off the interval by a part in a million
+    lasts = last + interval - first if breaks else recording.size * interval
+    lost, unended = lasts - read, 2 * instrument.grid.step_time
     lost = lost if breaks or not parts or lost > unended else 0.0
     return Recorded(recording.name, tuple(parts), breaks, lost)
 
@@ -152,7 +162,9 @@ def unbroken_blocks(
 ) -> Iterator[tuple[Array, bool]]:
     """Yield the channels (c, n), time first, and whether a sample is missing before them.
 
-    Samples with NaN are left out; a reference may be NaN, and informs nothing.
+    Samples with NaN are left out; a reference may be NaN, and informs nothing. Of what lies between
+    two gaps and is too short to be analysed, no sample is yielded: thousands of filters would begin
+    for nothing.
     """
     names = (
         (*NEEDED_CHANNELS, REFERENCE_CHANNEL)
@@ -161,6 +173,7 @@ def unbroken_blocks(
     )
     grid, interval = instrument.grid, instrument.interval
     piece = max(1, round(PIECE_STEPS * grid.step_time / interval))
+    shortest = shortest_stretch(instrument.corner_hz) - 2 * grid.step_time
     before, number = np.zeros(0), 0
     for block in recording.blocks(*names, finite=False, size=BLOCK):
         samples = np.array(block)
@@ -171,6 +184,9 @@ def unbroken_blocks(
         good = np.concatenate([before == before, good])
         for span in unbroken(time, good, interval):
             begins = span.start > 0 or not before.size
+            if begins and span.stop < time.size and (span.stop - span.start) * interval < shortest:
+                yield samples[:, :0], True
+                continue
             rows = slice(max(0, span.start - before.size), span.stop - before.size)
             for part in range(rows.start, rows.stop, piece):
                 yield samples[:, part : min(part + piece, rows.stop)], begins
@@ -299,6 +315,9 @@ class Stretch:
         if referred and np.isfinite(found := self._taken("reference")).any():
             reference, judged = filled(found, round(rate / corner_hz))
         torque, states = held_lowpass(rate, torque, corner_hz), self._taken("states")
+        states[np.abs(torque) > LARGEST_LEARNED_RATIO * self._instrument.reach.torque] = (
+            State.OUTSIDE
+        )
         faults = self._watch.faults()
         rows, causal_states = slice(None, None, every), self._taken("causal_states")
         for fault in faults:

@@ -3,10 +3,10 @@
 With spectra R of the reference and Y of the torque, of n segments with a Hann window,
 
     H = sum conj(R) Y / sum |R|^2,   g^2 = |sum conj(R) Y|^2 / (sum |R|^2 sum |Y|^2)
-    u(|H|) = |H| sqrt((1 - g^2) / (2 n g^2))
+    u(|H|) = |H| sqrt((1 - g^2) / (2 (n - 1) g^2))
 
 (J. S. Bendat, A. G. Piersol, Random Data, 4th ed. 2010, sections 6.2 and 9.2.4). Segments overlap
-by half; n counts those that do not.
+by half; n counts those that do not, one of which H takes: g is 1 for a single one, whatever it is.
 """
 
 from __future__ import annotations
@@ -31,6 +31,10 @@ MAX_AMPLITUDE_U = 0.02
 """Standard uncertainty of an amplitude up to which it counts."""
 
 HIGHEST_HZ = 100.0
+
+FEWEST_SEGMENTS = 6
+"""Segments of which noise alone has `MAX_AMPLITUDE_U` at one of 100 frequencies in 0.03 % of cases:
+each has it with a probability of (2 (n - 1) MAX_AMPLITUDE_U^2)^(n - 1)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +85,13 @@ class Spectra:
         )
 
     def amplitude(self) -> tuple[Array, Array]:
-        """Return |H| and its standard uncertainty (f,); infinite where nothing acted."""
+        """Return |H| and its standard uncertainty (f,); infinite where nothing acted, and of fewer
+        than `FEWEST_SEGMENTS`."""
+        left = self.count / 2 - 1 if self.count >= FEWEST_SEGMENTS else 0.0
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.abs(self.cross) / self.of_reference
             coherence = np.abs(self.cross) ** 2 / (self.of_reference * self.of_torque)
-            u = ratio * np.sqrt((1 - coherence) / (2 * max(self.count / 2, 1) * coherence))
+            u = ratio * np.sqrt((1 - coherence) / (2 * left * coherence))
         return ratio, np.where(np.isfinite(u), u, np.inf)
 
 

@@ -244,6 +244,11 @@ def require_nothing_to_measure(options: CommonOptions) -> None:
         )
     if options.spy is not None:
         raise UsageError(f"--spy {options.spy}: stored runs need no line: leave it out")
+    if options.live is not None:
+        raise UsageError(
+            "--live draws what is recorded, of stored runs nothing is: leave it out, and draw them "
+            "with plot"
+        )
 
 
 def _analyse_stored(
@@ -333,8 +338,8 @@ def _imported_settings(accepted: Mapping[str, str], overrides: Sequence[str]) ->
         key, _, value = override.partition("=")
         if key.strip() not in accepted:
             raise UsageError(
-                f"--set {override}: imported runs have no recipe; the mapping file states what is "
-                "known of the rig: change it there and import them again"
+                f"{override}: imported runs have no recipe: leave this out; the mapping file "
+                "states what is known of the rig: change it there and import them again"
             )
         try:
             settings[accepted[key.strip()]] = number = float(value)

@@ -10,6 +10,7 @@ import pytest
 from rigtool.errors import InsufficientDataError, RecipeError, RunFileError, UsageError
 from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
 from rigtool.experiments.force_filter.motion_states import State
+from rigtool.experiments.force_sensor import procedure_reading
 from rigtool.experiments.force_sensor.procedure_live import LiveForce
 from rigtool.experiments.force_sensor.procedure_over_time import model_and_reach, over_time
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
@@ -125,6 +126,7 @@ def test_a_torque_beyond_the_learned_has_no_value(rig):
     assert (table["state"][within] == State.OUTSIDE).all()
     assert np.isnan(table["torque"][within]).all()
     assert np.isfinite(table["torque"][time < 1.5]).all()
+    assert np.nanmax(np.abs(table["torque"])) <= 1.1 * 60e-3
 
 
 def test_tables_without_the_model_are_refused_with_the_remedy(rig, tmp_path):
@@ -289,6 +291,37 @@ def test_gaps_and_samples_without_value_begin_anew(rig, strokes, live, tmp_path)
     assert 0 <= len(table["time"]) - size <= 2
     np.testing.assert_array_equal(rows["torque"], table["causal_torque"][:size])
     np.testing.assert_array_equal(rows["time"], table["time"][:size])
+
+
+def test_a_clock_that_is_off_loses_no_sample(rig, strokes, tmp_path):
+    def drifting(signals):
+        time = signals["time"]
+        return {**signals, "time": time + 1e-3 * np.maximum(time - time[8192], 0.0)}
+
+    path, _ = changed(rig, tmp_path, drifting)
+    found = run(MEASURE_FORCE, path, tmp_path / "again.h5", kt=KT, tables=rig.tables)
+    assert found.results["valid_share"].value == 1.0
+    assert not any("missing" in note for note in found.notes)
+
+
+def test_what_is_too_short_between_gaps_begins_no_filter(rig, strokes, tmp_path, monkeypatch):
+    def riddled(signals):
+        signals["current_setpoint"] = signals["current_setpoint"].copy()
+        signals["current_setpoint"][::100] = np.nan
+        return signals
+
+    begun = []
+
+    class Counted(procedure_reading.Stretch):
+        def __init__(self, *args):
+            begun.append(args)
+            super().__init__(*args)
+
+    monkeypatch.setattr(procedure_reading, "Stretch", Counted)
+    path, signals = changed(rig, tmp_path, riddled)
+    with pytest.raises(InsufficientDataError, match=r"NaN is in current_setpoint"):
+        run(MEASURE_FORCE, path, tmp_path / "again.h5", kt=KT, tables=rig.tables)
+    assert len(begun) <= 1 + len(signals["time"]) // procedure_reading.BLOCK  # at ends of blocks
 
 
 def test_contacts_are_listed_with_their_times(strokes):

@@ -61,3 +61,11 @@ def test_what_is_no_part_of_the_reference_changes_no_amplitude():
     assert ratio[1:].mean() == pytest.approx(0.97, abs=0.01)
     # error over u, of 100 frequencies of which neighbours share the window
     assert np.sqrt(np.mean(((ratio[1:] - 0.97) / u[1:]) ** 2)) == pytest.approx(1.0, abs=0.35)
+
+
+@pytest.mark.parametrize("segments", [1, 2, 4, 6])
+def test_noise_shows_no_amplitude_however_short_it_is(segments):
+    for seed in range(50):
+        size = 500 * (segments + 1)
+        reference, noise = np.random.default_rng(seed).standard_normal((2, size))
+        assert np.isnan(amplitude_bandwidth([spectra(noise, reference)])[0])
