@@ -126,7 +126,13 @@ def test_a_torque_beyond_the_learned_has_no_value(rig):
     assert (table["state"][within] == State.OUTSIDE).all()
     assert np.isnan(table["torque"][within]).all()
     assert np.isfinite(table["torque"][time < 1.5]).all()
-    assert np.nanmax(np.abs(table["torque"])) <= 1.1 * 60e-3
+
+
+def test_at_the_largest_torque_no_value_is_beyond_it(rig):
+    edge = rig.folder / "edge.toml"
+    edge.write_text(rig.touched.read_text().replace("force = 2.0\n", "force = 3.3\n"))
+    torque = rig(5.0, source=edge, name="edge.h5").tables["force"]["torque"]
+    assert 60e-3 < np.nanmax(np.abs(torque)) <= 1.1 * 60e-3
 
 
 def test_tables_without_the_model_are_refused_with_the_remedy(rig, tmp_path):
