@@ -146,7 +146,8 @@ def _quantiles(probable: Array, mean: Array, std: Array, parts: tuple[float, ...
 
     seen = probable > ROUNDING_PROBABILITY
     probable, mean, std = probable[seen], mean[seen], std[seen]
-    low, high = np.min(mean - 9 * std), np.max(mean + 9 * std)
+    low: Array = np.full(len(parts), np.min(mean - 9 * std))
+    high: Array = np.full(len(parts), np.max(mean + 9 * std))
     centre = probable @ mean
     found: Array = centre + np.sqrt(probable @ (std**2 + (mean - centre) ** 2)) * ndtri(parts)
     for _ in range(60):

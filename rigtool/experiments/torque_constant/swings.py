@@ -215,7 +215,8 @@ def friction_state(
 
     until contacts with i < 1 slide, r = 0.
     """
-    less = 1.0 - np.asarray(exponent)
+    exponent = np.asarray(exponent)
+    less = 1.0 - exponent
     single = less == 0
     divisor = np.where(single, 1.0, less)
     shape = np.broadcast_shapes(swings.shape[1:-1], np.shape(transition), less.shape)
