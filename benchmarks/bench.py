@@ -174,10 +174,13 @@ def tables(folder: Path) -> None:
 
 def learning(folder: Path) -> None:
     """Show what learning costs."""
-    from learning import one_table, whole_b
+    from learning import INSTRUMENT, instrument, one_table, whole_b
 
     show("learning one table: 20 turns at 8 kHz", best_of(one_table()), "s", 0.3)
     show("rigtool ilc-learn, implementation B from its run", best_of(whole_b(folder), 3), "s", 1)
+    if INSTRUMENT.is_dir():
+        seconds = best_of(instrument(folder), 3)
+        show("learning a real instrument, 25 runs of 20 s", seconds, "s", 5)
 
 
 def sensor(folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""Speed of learning: one table of twenty turns, and implementation B as a whole."""
+"""Speed of learning: one table of twenty turns; implementation B and an instrument, as a whole."""
 
 from __future__ import annotations
 
@@ -36,6 +36,21 @@ def one_table() -> Callable[[], object]:
         return repeatable_row(learned_row(turns, speed, learning, 4000))
 
     return learn
+
+
+INSTRUMENT = ROOT.parent / "shared" / "data" / "mis-tool" / "Tool_4_Maryland_L_4"
+"""A measured instrument, where it is there (docs/real-instruments.md)."""
+
+
+def instrument(folder: Path) -> Callable[[], object]:
+    """Return what learns D from half of an instrument's runs by a command; this imports them."""
+    mapping, runs = ROOT / "recipes" / "import" / "mis-tool.toml", folder / "instrument"
+    line = [RIGTOOL, "import", str(INSTRUMENT), "--map", str(mapping), "-o", str(runs), "-q"]
+    subprocess.run(line, check=True, capture_output=True)
+    half = [str(path) for path in sorted(runs.glob("?[02468].h5"))]
+    output = ["-o", str(folder / "instrument.h5"), "--implementation", "D", "--overwrite", "-q"]
+    learn = [RIGTOOL, "ilc-learn", *half, *output]
+    return lambda: subprocess.run(learn, check=True, capture_output=True)
 
 
 def whole_b(folder: Path) -> Callable[[], object]:

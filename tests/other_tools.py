@@ -11,6 +11,8 @@ class Later:
         self._name = name
 
     def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):  # pytest asks all that is in a module for marks of its own
+            raise AttributeError(name)
         return getattr(import_module(self._name), name)
 
 

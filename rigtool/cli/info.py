@@ -46,7 +46,9 @@ def command(path: str, plot: str | None, budget: str | None) -> None:
             return
         if plot is not None:
             from rigtool.report.default_plot import write_plot
+            from rigtool.report.figures.style import import_undocumented
 
+            import_undocumented()
             shown = write_plot(run, plot, overwrite=to.overwrite)
             to.written(plot, f"plot of {shown}")
         to.run(run, None)

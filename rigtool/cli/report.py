@@ -26,6 +26,7 @@ def command(paths: tuple[str, ...], output: str, pdf: bool) -> None:
     the tables.
     """
     from rigtool.report.build import build_report
+    from rigtool.report.figures.style import import_undocumented
     from rigtool.report.folder import require_free, terminal_text, write_report
     from rigtool.report.page import require_pdf
     from rigtool.runfile import open_run
@@ -36,6 +37,7 @@ def command(paths: tuple[str, ...], output: str, pdf: bool) -> None:
         require_pdf()
     with ExitStack() as stack:
         runs = [stack.enter_context(open_run(path)) for path in paths]
+        import_undocumented()
         report = build_report(runs)
     write_report(report, output, overwrite=to.overwrite, pdf=pdf)
     count = len(report.pictures)

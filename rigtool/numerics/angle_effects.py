@@ -138,21 +138,29 @@ def _given(x: Array, y: Array, z: Array, amplitude: Array) -> tuple[Array, Array
 
 
 def _quantiles(probable: Array, mean: Array, std: Array, parts: tuple[float, ...]) -> Array:
-    """Return quantiles of a mixture of normal distributions, each (h,)."""
-    from scipy.special import ndtr
+    """Return quantiles of a mixture of normal distributions, each (h,).
+
+    By Newton's method within bounds, whose middle is next where it leaves them.
+    """
+    from scipy.special import ndtr, ndtri
 
     seen = probable > ROUNDING_PROBABILITY
     probable, mean, std = probable[seen], mean[seen], std[seen]
-    low, high = (
-        np.full(len(parts), (mean - 9 * std).min()),
-        np.full(len(parts), np.max(mean + 9 * std)),
-    )
+    low: Array = np.full(len(parts), np.min(mean - 9 * std))
+    high: Array = np.full(len(parts), np.max(mean + 9 * std))
+    centre = probable @ mean
+    found: Array = centre + np.sqrt(probable @ (std**2 + (mean - centre) ** 2)) * ndtri(parts)
     for _ in range(60):
-        middle = (low + high) / 2
-        below = probable @ ndtr((middle - mean[:, None]) / std[:, None]) < parts
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
-    quantiles: Array = (low + high) / 2
-    return quantiles
+        z = (found - mean[:, None]) / std[:, None]
+        over = probable @ ndtr(z) - parts
+        low, high = np.where(over < 0, found, low), np.where(over < 0, high, found)
+        density = (probable / std) @ np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi)
+        with np.errstate(all="ignore"):  # no density, far from all
+            before, found = found, found - over / density
+        found = np.where((found >= low) & (found <= high), found, (low + high) / 2)
+        if np.all(np.abs(found - before) < 1e-8 * std.min()):  # the next step is its square
+            break
+    return found
 
 
 @cache

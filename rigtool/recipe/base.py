@@ -5,8 +5,6 @@ They are wider than any bench of motor, encoder and amplifier, and find slips: m
 for degC, millimetres for metres, an exponent too many.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from typing import Annotated, ClassVar

@@ -1,8 +1,6 @@
 """Settings of each command: motions, loads, speeds, durations, with their defaults."""
 
-from __future__ import annotations
-
-from typing import Literal
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -112,7 +110,7 @@ class IdentifyPlant(Section):
     turn_angle: float = Field(20.0, gt=0, description="used to reverse at each end, deg")
 
     @model_validator(mode="after")
-    def _frequencies_fit_period(self) -> IdentifyPlant:
+    def _frequencies_fit_period(self) -> Self:
         if self.frequency_min * self.period < 1 - 1e-9:
             raise ValueError(
                 f"frequency_min {self.frequency_min} Hz has less than one cycle in the period of "
@@ -142,7 +140,7 @@ class LearnLoads(Section):
     record_every: int = Field(16, ge=1, description="samples averaged into a recorded one")
 
     @model_validator(mode="after")
-    def _loads_and_speeds_differ(self) -> LearnLoads:
+    def _loads_and_speeds_differ(self) -> Self:
         for name, values in (("forces", self.forces), ("speeds_rev_per_s", self.speeds_rev_per_s)):
             if len(set(values)) < len(values):
                 raise ValueError(f"{name} lists a value twice: each is learned once")
@@ -164,7 +162,7 @@ class Turning(Section):
     record_every: int = Field(4, ge=1, description="samples averaged into a recorded one")
 
     @model_validator(mode="after")
-    def _speeds_differ(self) -> Turning:
+    def _speeds_differ(self) -> Self:
         require_different_speeds(self.speeds_rev_per_s, self.low_speeds_rev_per_s)
         return self
 
@@ -178,7 +176,7 @@ class Trajectory(Section):
     moves: int = Field(10, ge=3, description="to and fro, averaged in each run")
 
     @model_validator(mode="after")
-    def _turn_fits(self) -> Trajectory:
+    def _turn_fits(self) -> Self:
         require_straight_part("turn_angle", self.turn_angle, self.angle)
         return self
 
@@ -220,7 +218,7 @@ class IlcLearn(Section):
     loads: LearnLoads = LearnLoads()
 
     @model_validator(mode="after")
-    def _turn_fits_end(self) -> IlcLearn:
+    def _turn_fits_end(self) -> Self:
         if self.turn_angle >= self.end_angle:
             raise ValueError(
                 f"turn_angle {self.turn_angle} deg must be below end_angle {self.end_angle} deg: "
@@ -230,7 +228,7 @@ class IlcLearn(Section):
         return self
 
     @model_validator(mode="after")
-    def _speeds_differ(self) -> IlcLearn:
+    def _speeds_differ(self) -> Self:
         require_different_speeds(self.speeds_rev_per_s, self.low_speeds_rev_per_s)
         return self
 
@@ -258,7 +256,7 @@ class ForceMotion(Section):
         return 3 * self.bandwidth_hz
 
     @model_validator(mode="after")
-    def _path_has_its_file(self) -> ForceMotion:
+    def _path_has_its_file(self) -> Self:
         if (self.kind == "path") != (self.file is not None):
             raise ValueError(
                 'kind = "path" needs file, a CSV of time_s and angle_deg; other kinds have none'
@@ -297,7 +295,7 @@ class MeasureForce(Section):
     motion: ForceMotion = ForceMotion()
 
     @model_validator(mode="after")
-    def _whole_cycles_show_scatter(self) -> MeasureForce:
+    def _whole_cycles_show_scatter(self) -> Self:
         if self.correction == "full" and self.cycles < 5:
             raise ValueError(
                 f'{self.cycles} cycles are too few for correction = "full", which needs 3 whole '
@@ -306,7 +304,7 @@ class MeasureForce(Section):
         return self
 
     @model_validator(mode="after")
-    def _reads_within_the_stroke(self) -> MeasureForce:
+    def _reads_within_the_stroke(self) -> Self:
         require_straight_part("turn_angle", self.turn_angle, self.angle)
         low, high = self.turn_angle, self.angle - self.turn_angle
         if not low <= self.measure_angle <= high:

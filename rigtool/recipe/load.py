@@ -1,13 +1,11 @@
 """Reading recipes; all mistakes are reported at once, each with its line."""
 
-from __future__ import annotations
-
 import json
 import os
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 from pydantic import ValidationError, model_validator
 
@@ -51,7 +49,7 @@ class Recipe(Section):
     requirements: commands.Requirements = commands.Requirements()
 
     @model_validator(mode="after")
-    def _has_its_source(self) -> Recipe:
+    def _has_its_source(self) -> Self:
         if self.rig.source == "serial" and self.serial is None:
             raise ValueError(
                 'rig.source is "serial" and there is no table [serial]: add one with driver, port '
@@ -60,7 +58,7 @@ class Recipe(Section):
         return self
 
     @model_validator(mode="after")
-    def _loop_follows_contacts(self) -> Recipe:
+    def _loop_follows_contacts(self) -> Self:
         highest = 0.1 / self.rig.sample_time
         for contact in self.virtual.contact if self.virtual is not None else ():
             if isinstance(contact, Sine) and contact.frequency_hz[1] > highest:

@@ -5,12 +5,10 @@
 A mapping states what the file does not: the knowledge of the person who measured.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -57,7 +55,7 @@ class ImportedRig(Section):
     )
 
     @model_validator(mode="after")
-    def _fits_axis(self) -> ImportedRig:
+    def _fits_axis(self) -> Self:
         if self.gear_ratio == 0:
             raise ValueError("gear_ratio 0: give turns of the motor for one turn of the output")
         if self.axis == "linear" and self.torque_constant is not None:
@@ -97,7 +95,7 @@ class FileLayout(Section):
     )
 
     @model_validator(mode="after")
-    def _delimiter_is_known(self) -> FileLayout:
+    def _delimiter_is_known(self) -> Self:
         if self.delimiter is None:
             return self
         if len(self.delimiter) > 1 and self.delimiter != "whitespace":
@@ -135,7 +133,7 @@ class Signal(Section):
         return require_unit(unit, [RATED])
 
     @model_validator(mode="after")
-    def _makes_sense(self) -> Signal:
+    def _makes_sense(self) -> Self:
         for column in (self.column, self.time, self.nanoseconds):
             if isinstance(column, int) and column < 1:
                 raise ValueError(f"columns are counted from 1, got {column}")
@@ -190,7 +188,7 @@ class Condition(Section):
     )
 
     @model_validator(mode="after")
-    def _is_one(self) -> Condition:
+    def _is_one(self) -> Self:
         if sum(given is not None for given in (self.pattern, self.column, self.value)) != 1:
             raise ValueError("give one of `pattern`, `column` and `value`")
         if not _NAME.fullmatch(self.name):
@@ -239,7 +237,7 @@ class Map(Section):
         return require_unit(unit)
 
     @model_validator(mode="after")
-    def _is_known(self) -> Map:
+    def _is_known(self) -> Self:
         if self.angle is not None and self.column is None:
             raise ValueError("a map with a column of angles needs `column`, that of the values")
         angle = self.angle
@@ -267,7 +265,7 @@ class Mapping(Section):
     map: Map | None = None
 
     @model_validator(mode="after")
-    def _fits_together(self) -> Mapping:
+    def _fits_together(self) -> Self:
         if self.map is not None and self.signals:
             raise ValueError("a file is a [map] or has [signals], not both")
         if self.map is not None and any(item.column is not None for item in self.conditions):

@@ -4,10 +4,8 @@ An analysis may use all of them. `rigtool.recipe.virtual` holds the parameters t
 rig knows; no analysis reads those.
 """
 
-from __future__ import annotations
-
 import math
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -140,7 +138,7 @@ class RigDescription(Section):
     suspension: MotorSuspension | None = None
 
     @model_validator(mode="after")
-    def _loop_is_fast_enough(self) -> RigDescription:
+    def _loop_is_fast_enough(self) -> Self:
         if self.source == "virtual" and self.sample_time > MAX_VIRTUAL_SAMPLE_TIME:
             raise ValueError(
                 f"sample_time of a virtual rig is at most {MAX_VIRTUAL_SAMPLE_TIME} s, got "

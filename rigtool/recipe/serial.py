@@ -3,9 +3,7 @@
 Limits have no defaults: only the person at the bench knows what the rig withstands.
 """
 
-from __future__ import annotations
-
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -27,7 +25,7 @@ class Limits(Section):
     )
 
     @model_validator(mode="after")
-    def _ordered(self) -> Limits:
+    def _ordered(self) -> Self:
         if not self.position[0] < self.position[1]:
             raise ValueError(f"position must be [lowest, highest], got {list(self.position)}")
         return self

@@ -4,8 +4,6 @@ Only `rigtool.rigs.virtual` reads these. Angles in rad, torques in N m at the sh
 throughout; temperatures in degC.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from rigtool.numerics.angle_effects import fit_angle_effects
+from rigtool.numerics.angle_effects import _quantiles, fit_angle_effects
 from tests.thorough import thorough
 
 
@@ -60,3 +60,15 @@ def test_the_deviation_is_as_uncertain_as_its_amplitude():
     value = 5.0 + 0.3 * np.cos(angle + 1) + noise
     found = fit_angle_effects(np.ones((24, 1)), value, np.full(24, 0.01), angle)
     assert_allclose(found.deviation_u, 0.01 / np.sqrt(24), rtol=0.5)
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.5, 30.0])  # thirty: where there is next to no density
+def test_so_much_of_a_mixture_is_below_its_quantiles(spread):
+    rng = np.random.default_rng(4)
+    probable = rng.dirichlet(np.full(200, 0.3))
+    mean = spread * np.repeat([-1.0, 2.0], 100) + 0.01 * rng.normal(size=200)
+    std = 10 ** rng.uniform(-2, 0, 200)
+    parts = (1e-9, 0.025, 0.5, 0.84, 1 - 1e-9)
+    found = _quantiles(probable, mean, std, parts)
+    below = probable @ stats.norm.cdf(found, mean[:, None], std[:, None])
+    assert_allclose(below, parts, rtol=1e-12, atol=1e-15)

@@ -40,12 +40,14 @@ def command(path: str, name: str | None, output: str | None) -> None:
     from pathlib import Path
 
     from rigtool.report.default_plot import write_plot
+    from rigtool.report.figures.style import import_undocumented
     from rigtool.runfile import open_run
 
     to = current_output()
     with open_run(path) as run:
         stem = "-".join([Path(path).stem, *(name or "plot").split("/")])
         output = output or f"{stem}.svg"
+        import_undocumented()
         shown = write_plot(run, output, name, overwrite=to.overwrite)
         to.written(output, f"plot of {shown}")
         to.document(rig=run.rig, output=output, shown=shown)

@@ -215,12 +215,13 @@ def friction_state(
 
     until contacts with i < 1 slide, r = 0.
     """
-    less = 1.0 - np.asarray(exponent)
+    exponent = np.asarray(exponent)
+    less = 1.0 - exponent
     single = less == 0
     divisor = np.where(single, 1.0, less)
     shape = np.broadcast_shapes(swings.shape[1:-1], np.shape(transition), less.shape)
-    state, kept = np.zeros(shape), np.ones(shape)
-    a, b = [state], [kept]
+    state, changes = np.zeros(shape), np.zeros(shape)
+    a, b = [state], [np.ones(shape)]
     for plateau in np.moveaxis(swings, -1, 0)[1:]:
         for swing in plateau[plateau.reshape(len(plateau), -1).any(axis=1)]:
             side = np.copysign(1.0, swing)
@@ -229,7 +230,7 @@ def friction_state(
             left = np.log1p(np.maximum(-less * way, FULL_SLIDE)) / divisor
             change = np.where(single, -way, left)
             state = side * (1.0 - before * np.exp(change))
-            kept = kept * np.exp(exponent * change)
+            changes = changes + change
         a.append(state)
-        b.append(kept)
+        b.append(np.exp(exponent * changes))
     return np.stack(a, axis=-1), np.stack(b, axis=-1)

@@ -62,21 +62,46 @@ _STYLE: dict[Any, Any] = {
 def styled() -> Iterator[None]:
     """Set matplotlib's defaults and the style, for figures made and saved in this context.
 
-    All that draws is imported here, before a process is copied. Raises `UsageError` where the
-    user's own settings keep matplotlib from starting.
+    All that draws is imported here, before a process is copied. Raises `UsageError` as
+    `import_drawing`.
     """
-    try:
-        import matplotlib
-
-        from rigtool.report.figures import drawing  # noqa: F401
-    except (OSError, ValueError) as error:
-        raise UsageError(f"matplotlib: {error}: correct MPLBACKEND or its matplotlibrc") from None
+    import_drawing()
+    import matplotlib
     from cycler import cycler
 
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(_STYLE | {"axes.prop_cycle": cycler(color=CYCLE)})
         yield
+
+
+def import_drawing() -> None:
+    """Import all that draws. Raises `UsageError` where the user's own settings prevent it."""
+    try:
+        from rigtool.report.figures import drawing  # noqa: F401
+    except (OSError, ValueError) as error:
+        raise UsageError(f"matplotlib: {error}: correct MPLBACKEND or its matplotlibrc") from None
+
+
+def import_undocumented() -> None:
+    """Do as `import_drawing`, for a command, where nobody reads matplotlib's documentation.
+
+    It is written while matplotlib is imported, and takes half of that: a text and a signature of
+    all that can be set of each kind of artist.
+    """
+    try:
+        from matplotlib import artist
+    except (OSError, ValueError):
+        return import_drawing()
+    writers = [(artist, "kwdoc"), (artist.Artist, "_update_set_signature_and_docstring")]
+    kept = [(owner, name, vars(owner)[name]) for owner, name in writers if name in vars(owner)]
+    try:
+        for owner, name, _ in kept:
+            setattr(owner, name, lambda *_: "")
+        import_drawing()
+    finally:
+        for owner, name, writer in kept:
+            setattr(owner, name, writer)
 
 
 def empty(height: float = HEIGHT, width: float = WIDTH) -> Figure:

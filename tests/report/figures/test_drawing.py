@@ -2,6 +2,8 @@
 
 import io
 import re
+import subprocess
+import sys
 import xml.etree.ElementTree as ET
 from itertools import pairwise
 
@@ -86,3 +88,24 @@ def test_panels_fill_the_figure_and_nothing_is_cut_off(rows, label, high, scale)
 
 def test_powers_of_ten_are_text():
     assert [drawing._power(v) for v in (0.001, 1.0, 1e12, 3.0)] == ["10⁻³", "10⁰", "10¹²", "3"]
+
+
+COMMAND = """
+import sys
+from rigtool.report.figures import style
+style.import_undocumented()
+from matplotlib import artist, lines
+assert "linewidth" not in (lines.Line2D.set.__doc__ or ""), "all was documented"
+assert "linewidth" in artist.kwdoc(lines.Line2D), "kept from writing"
+from tests.report.figures.test_drawing import _figure, drawing
+with style.styled():
+    svg, png = drawing.render(_figure(2, scale="log", low=0.1))
+sys.stdout.buffer.write(svg.encode() + png)
+"""
+
+
+def test_without_documentation_matplotlib_draws_the_same():
+    drawn = subprocess.run([sys.executable, "-c", COMMAND], check=True, stdout=subprocess.PIPE)
+    with style.styled():
+        svg, png = drawing.render(_figure(2, scale="log", low=0.1))
+    assert drawn.stdout == svg.encode() + png

@@ -1,5 +1,6 @@
 """The emulated target against anything a host could send."""
 
+import functools
 import struct
 import zlib
 
@@ -17,8 +18,13 @@ from rigtool.rigs.serial.target.link import FrameKind, Refusal, Slot, TargetStat
 from tests.rigs.serial.recipes import serial_recipe
 from tests.rigs.serial.target.test_driver import virtual
 
-EMULATOR = TargetEmulator(virtual())
 LIMITS = serial_recipe("none").serial.limits
+
+
+@functools.cache
+def emulator():
+    """Return the one of all tests; it runs its simulation when it is made, to compile it."""
+    return TargetEmulator(virtual())
 
 
 class Host:
@@ -69,8 +75,8 @@ class Host:
 
 @pytest.fixture
 def host():
-    EMULATOR.reset()
-    return Host(EMULATOR)
+    emulator().reset()
+    return Host(emulator())
 
 
 def arm(every=1, stop=np.nan, mask=0b11111, streams=0):
@@ -157,21 +163,21 @@ def test_hello_in_the_middle_stops_and_forgets(host):
     st.binary(max_size=40),
 )
 def test_whatever_is_sent_is_answered(requests, noise):
-    EMULATOR.reset()
-    host = Host(EMULATOR)
+    emulator().reset()
+    host = Host(emulator())
     host.set_up(Move(0.1, 0.01))
-    EMULATOR.receive(noise + b"\0")
+    emulator().receive(noise + b"\0")
     for kind, payload in requests:
         reply = host.send(kind, payload)
         assert reply.kind in (kind | link.REPLY, link.REFUSED)
-        EMULATOR.idle()
+        emulator().idle()
 
 
 @settings(max_examples=50, deadline=None)
 @given(st.sampled_from(list(Slot)), st.binary(max_size=64))
 def test_whatever_object_comes_up_is_taken_or_refused(slot, data):
-    EMULATOR.reset()
-    host = Host(EMULATOR)
+    emulator().reset()
+    host = Host(emulator())
     host.set_up(Move(0.1, 0.01))
     host.ask(FrameKind.BEGIN, link.BEGIN.pack(slot, len(data)))
     host.ask(FrameKind.CHUNK, link.CHUNK.pack(slot, 0) + data)
@@ -180,4 +186,4 @@ def test_whatever_object_comes_up_is_taken_or_refused(slot, data):
     if reply.kind == FrameKind.ARM | link.REPLY and struct.unpack("<IH", reply.payload)[0] < 10000:
         host.ask(FrameKind.START)
         for _ in range(20):
-            EMULATOR.idle()
+            emulator().idle()

@@ -172,7 +172,7 @@ ARGUMENTS = (
 @pytest.fixture
 def host(monkeypatch):
     device = Bare()
-    monkeypatch.setattr(test_driver_emulator, "EMULATOR", device)
+    monkeypatch.setattr(test_driver_emulator, "emulator", lambda: device)
     return test_driver_emulator.Host(device)
 
 
