@@ -140,7 +140,8 @@ struct rs_ripple {
 /* The filter; its numbers are for nobody else. */
 struct rigtool_sensor {
     /* samples until they are one of the equations */
-    int collected, limited, limited_before;
+    int collected, limited, limited_before, heard, last_limited;
+    struct rigtool_sensor_sample last;
     int32_t encoder;
     rs_real current, temperature, temperature_before;
     /* x, and its covariance as U diag(d) U'; rows of U that move are those of now within a step.
@@ -1082,12 +1083,30 @@ static inline void rs_begin(struct rigtool_sensor *s)
     s->begun = 1;
 }
 
+/* Take the signals half a sample earlier, where an odd number of samples makes one of the
+ * equations: the count is in the middle then. */
+static inline void rs_earlier(
+    struct rigtool_sensor *s, struct rigtool_sensor_sample *sample, int *limited)
+{
+    const struct rigtool_sensor_sample own = *sample;
+    const int at_limit = *limited;
+    if (s->heard) {
+        sample->current = (own.current + s->last.current) / 2;
+        sample->temperature = (own.temperature + s->last.temperature) / 2;
+        *limited |= s->last_limited;
+    }
+    s->last = own;
+    s->last_limited = at_limit;
+    s->heard = 1;
+}
+
 /* Take in a sample of the loop and return the latest reading; a current or a temperature that is no
  * number, or beyond all limits, begins anew. */
 static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
     struct rigtool_sensor *s, struct rigtool_sensor_sample sample)
 {
     rs_real torque, viscous;
+    int limited = RS_MATH(fabs)(sample.current) >= rs_model.current_limit;
     s->reading.fresh = 0;
     if (!isfinite(sample.current + sample.temperature)) {
         rigtool_sensor_init(s);
@@ -1099,10 +1118,13 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
         s->current = s->temperature = 0;
         s->limited = 0;
     }
-    s->current += RS_MATH(fmax)(
+    sample.current = RS_MATH(fmax)(
         -rs_model.largest_current, RS_MATH(fmin)(sample.current, rs_model.largest_current));
+    if (RS_AVERAGED % 2)
+        rs_earlier(s, &sample, &limited);
+    s->current += sample.current;
     s->temperature += sample.temperature;
-    s->limited |= RS_MATH(fabs)(sample.current) >= rs_model.current_limit;
+    s->limited |= limited;
     if (++s->collected < RS_AVERAGED)
         return &s->reading;
     s->collected = 0;

@@ -7,6 +7,9 @@ holds for the sample, and the angle between them comes from the encoder's edges 
     count = floor(angle / width of a count)
 
 The filter's equations are a leapfrog: speeds belong to the begin of a sample, angles to its middle.
+Where a sample of the filter is an odd number of the loop's, the encoder is read half a sample of the
+loop before or behind its middle. There all other signals are taken that half earlier, as means of two
+samples: the encoder is in the middle then, and nothing waits for the next sample.
 """
 
 from __future__ import annotations
@@ -29,6 +32,9 @@ changed errors by less than they scatter from rig to rig."""
 STEP_TIME = 1e-3
 """Time from one angle that the filter takes in to the next, s."""
 
+AT_EACH_SAMPLE = 0.49
+"""Lead from which on a recording has each sample of the loop."""
+
 CONTEXT_SAMPLES = 4096
 """Recorded samples on either side from which angles between counts are interpolated."""
 
@@ -38,7 +44,8 @@ class FilterSteps:
     """Samples of the filter in recorded ones: means of `averaged`, or `divided` into parts.
 
     `sample_time` s is the filter's; `step_samples` of its samples are a step. The encoder of a
-    recorded sample is read `lead` recorded samples before the time that it stands for.
+    recorded sample is read `lead` recorded samples before the time that it stands for. `halved`:
+    signals are taken half a recorded sample earlier.
     """
 
     averaged: int
@@ -46,6 +53,7 @@ class FilterSteps:
     sample_time: float
     step_samples: int
     lead: float
+    halved: bool
 
     @property
     def step_time(self) -> float:
@@ -60,7 +68,9 @@ class FilterSteps:
         divided = max(1, int(np.ceil(interval / SAMPLE_TIME * (1 - 1e-6))))
         sample_time = interval * averaged / divided
         steps = max(1, round(STEP_TIME / sample_time))
-        return cls(averaged, divided, sample_time, steps, loop_time / interval / 2)
+        lead = loop_time / interval / 2
+        halved = divided == 1 and averaged % 2 == 1 and lead > AT_EACH_SAMPLE
+        return cls(averaged, divided, sample_time, steps, lead, halved)
 
     def means(self, signal: Array) -> Array:
         """Return a recorded signal (n,) at the samples of the filter (k,)."""
@@ -103,6 +113,7 @@ class Sampler:
         self._context = context - context % grid.averaged
         self._ripple = np.zeros(1)
         self._held: Array | None = None
+        self._last: Array | None = None
         self._before = 0  # of the held ones: context alone
 
     def add(self, samples: Array, *, last: bool = False) -> tuple[Signals, Array]:
@@ -112,6 +123,8 @@ class Sampler:
         in N m/A. After the `last` ones nothing waits but less than an average.
         """
         grid, before = self._grid, self._before
+        if grid.halved:
+            samples = self._earlier(samples)
         held = samples if self._held is None else np.hstack([self._held, samples])
         size = held.shape[1] - (0 if last else self._context) - before
         end = before + max(0, size // grid.averaged * grid.averaged)
@@ -125,6 +138,15 @@ class Sampler:
         self._held = held[:, end - self._before :].copy()
         signals = Signals(torque, viscous, low, self._count)
         return signals, np.array(others).reshape(len(others), len(low))
+
+
+    def _earlier(self, samples: Array) -> Array:
+        """Return samples (c, n) of which all but the encoder are half a sample earlier."""
+        if not samples.shape[1]:
+            return samples
+        before = np.hstack([samples[:, :1] if self._last is None else self._last, samples[:, :-1]])
+        self._last = samples[:, -1:].copy()
+        return np.vstack([samples[:1], (before[1:] + samples[1:]) / 2])
 
 
 class Stepper:
