@@ -140,7 +140,8 @@ struct rs_ripple {
 /* The filter; its numbers are for nobody else. */
 struct rigtool_sensor {
     /* samples until they are one of the equations */
-    int collected, limited, limited_before;
+    int collected, limited, limited_before, heard, last_limited;
+    struct rigtool_sensor_sample last;
     int32_t encoder;
     rs_real current, temperature, temperature_before;
     /* x, and its covariance as U diag(d) U'; rows of U that move are those of now within a step.
@@ -159,7 +160,8 @@ struct rigtool_sensor {
     rs_real plain, plain_variance, other; /* without it; logarithm of the likelihoods' ratio */
     rs_real touched, plain_touched; /* the probability that something touches, with and without it */
     rs_real level[2], level_variance[2], fast; /* then: by a slow, a fast walk; probability of that */
-    int row_steps, row_slid, doubted, since; /* the wave whose doubt grows next; rows since then */
+    int row_length, row_drawn, row_steps, row_slid;
+    int doubted, since; /* the wave whose doubt grows next; rows since then */
     /* states: counts of the last steps, and for how many steps they were one of two */
     int32_t history[RS_SPEED_STEPS];
     int steps, next, still_up, still_down, limit_left;
@@ -890,25 +892,28 @@ static inline void rs_pass_time(struct rigtool_sensor *s, int slides)
         rs_doubt(s);
 }
 
-/* Add a step to the row; a whole row is taken in where all of it slides. */
+/* Add a step to the row; a whole row is taken in where all of it slides. The length of the next
+ * one is drawn (D. H. Lehmer): no force swings with the rows. */
 static inline void rs_row(struct rigtool_sensor *s)
 {
     const struct rs_model *m = &rs_model;
-    const rs_real share = (rs_real)1 / RS_ROW_STEPS;
+    const rs_real share = (rs_real)1 / (rs_real)s->row_length;
     const rs_real direction = (rs_real)((s->x[RS_SPEED] > 0) - (s->x[RS_SPEED] < 0));
     int j;
     s->row[0] += s->x[RS_TORQUE] * share;
     for (j = 0; j < RS_WAVES; j++)
         s->row[j + 1] += m->torque_factor * s->waves[j] * share;
     s->row_slid += s->x[RS_HOUSING] * direction >= m->sliding;
-    if (++s->row_steps < RS_ROW_STEPS)
+    if (++s->row_steps < s->row_length)
         return;
-    rs_pass_time(s, s->row_slid == RS_ROW_STEPS);
-    if (s->row_slid == RS_ROW_STEPS)
+    rs_pass_time(s, s->row_slid == s->row_length);
+    if (s->row_slid == s->row_length)
         rs_take(s);
     for (j = 0; j < RS_PARTS; j++)
         s->row[j] = 0;
     s->row_steps = s->row_slid = 0;
+    s->row_drawn = (RS_DRAW_FACTOR * s->row_drawn + RS_DRAW_ADDED) % RS_DRAW_MODULUS;
+    s->row_length = RS_ROW_STEPS / 2 + RS_ROW_STEPS * s->row_drawn / RS_DRAW_MODULUS;
 }
 
 /* What ripple adds to the torque behind the low-pass; *variance receives its variance. */
@@ -1065,6 +1070,7 @@ static inline void rs_begin(struct rigtool_sensor *s)
     s->d[RS_SINE] = s->d[RS_COSINE] = rs_square(m->stroke);
     s->d[RS_LOAD] = rs_square(m->load_stroke);
     s->direction = 1;
+    s->row_length = RS_ROW_STEPS;
     for (i = 0; i < RS_PARTS; i++) {
         s->known.mean[i] = i ? m->wave_mean[i - 1] : 0;
         s->known.d[i] = i ? m->wave_variance[i - 1] : m->row_untouched;
@@ -1077,12 +1083,30 @@ static inline void rs_begin(struct rigtool_sensor *s)
     s->begun = 1;
 }
 
+/* Take the signals half a sample earlier, where an odd number of samples makes one of the
+ * equations: the count is in the middle then. */
+static inline void rs_earlier(
+    struct rigtool_sensor *s, struct rigtool_sensor_sample *sample, int *limited)
+{
+    const struct rigtool_sensor_sample own = *sample;
+    const int at_limit = *limited;
+    if (s->heard) {
+        sample->current = (own.current + s->last.current) / 2;
+        sample->temperature = (own.temperature + s->last.temperature) / 2;
+        *limited |= s->last_limited;
+    }
+    s->last = own;
+    s->last_limited = at_limit;
+    s->heard = 1;
+}
+
 /* Take in a sample of the loop and return the latest reading; a current or a temperature that is no
  * number, or beyond all limits, begins anew. */
 static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
     struct rigtool_sensor *s, struct rigtool_sensor_sample sample)
 {
     rs_real torque, viscous;
+    int limited = RS_MATH(fabs)(sample.current) >= rs_model.current_limit;
     s->reading.fresh = 0;
     if (!isfinite(sample.current + sample.temperature)) {
         rigtool_sensor_init(s);
@@ -1094,10 +1118,13 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
         s->current = s->temperature = 0;
         s->limited = 0;
     }
-    s->current += RS_MATH(fmax)(
+    sample.current = RS_MATH(fmax)(
         -rs_model.largest_current, RS_MATH(fmin)(sample.current, rs_model.largest_current));
+    if (RS_AVERAGED % 2)
+        rs_earlier(s, &sample, &limited);
+    s->current += sample.current;
     s->temperature += sample.temperature;
-    s->limited |= RS_MATH(fabs)(sample.current) >= rs_model.current_limit;
+    s->limited |= limited;
     if (++s->collected < RS_AVERAGED)
         return &s->reading;
     s->collected = 0;

@@ -62,6 +62,7 @@ def sensor_header(
         "SPEED_STEPS": _within(motion_states.SPEED_TIME, grid.step_time) - 1,
         "BUSY_STEPS": _lasting(model.uncertainty.busy_time, grid.step_time),
         "ROW_STEPS": power_up.row_steps(grid.step_time),
+        **dict(zip(("DRAW_FACTOR", "DRAW_ADDED", "DRAW_MODULUS"), power_up.DRAW, strict=True)),
         "LATE_ROWS": power_up.late_rows(grid.step_time),
         "ROTOR_CELLS": len(model.drive.rotor_map) - 1,
         "HOUSING_CELLS": len(plant.friction_map) - 1,

@@ -1,12 +1,17 @@
 """From recorded samples to the samples and steps of the filter.
 
 The filter advances by `SAMPLE_TIME` or less, and takes the angle in once in each `STEP_TIME`.
-Finer recordings are averaged; in coarser ones, whose samples are means themselves, the current
-holds for the sample, and the angle between them comes from the encoder's edges (`encoder_angle`):
+Finer recordings are averaged; in coarser ones the current holds for the sample. Where these are
+means themselves, or too far apart, the angle between them comes from the encoder's edges
+(`encoder_angle`):
 
     count = floor(angle / width of a count)
 
 The filter's equations are a leapfrog: speeds belong to the begin of a sample, angles to its middle.
+A loop reads the encoder at the begin of its samples. Where that is no middle of a sample of the
+filter, these begin earlier, by half a sample of the loop, or of the filter if that is shorter: the
+encoder is in the middle then, and nothing waits for the next sample. A current acts in two of them
+there.
 """
 
 from __future__ import annotations
@@ -28,6 +33,12 @@ changed errors by less than they scatter from rig to rig."""
 STEP_TIME = 1e-3
 """Time from one angle that the filter takes in to the next, s."""
 
+AT_EACH_SAMPLE = 0.49
+"""Lead from which on a recording has each sample of the loop."""
+
+LONGEST_EXACT = 1.5e-3
+"""Longest sample of a loop, s, of which each is a step: longer steps miss what bristles do."""
+
 CONTEXT_SAMPLES = 4096
 """Recorded samples on either side from which angles between counts are interpolated."""
 
@@ -37,7 +48,8 @@ class FilterSteps:
     """Samples of the filter in recorded ones: means of `averaged`, or `divided` into parts.
 
     `sample_time` s is the filter's; `step_samples` of its samples are a step. The encoder of a
-    recorded sample is read `lead` recorded samples before the time that it stands for.
+    recorded sample is read `lead` recorded samples before the time that it stands for. `earlier`:
+    samples of the filter begin earlier.
     """
 
     averaged: int
@@ -45,6 +57,7 @@ class FilterSteps:
     sample_time: float
     step_samples: int
     lead: float
+    earlier: bool
 
     @property
     def step_time(self) -> float:
@@ -59,10 +72,22 @@ class FilterSteps:
         divided = max(1, int(np.ceil(interval / SAMPLE_TIME * (1 - 1e-6))))
         sample_time = interval * averaged / divided
         steps = max(1, round(STEP_TIME / sample_time))
-        return cls(averaged, divided, sample_time, steps, loop_time / interval / 2)
+        lead = loop_time / interval / 2
+        earlier = averaged % 2 == 1 and lead > AT_EACH_SAMPLE and interval < LONGEST_EXACT
+        if earlier and divided > 1:  # angles between samples are not exact
+            steps = divided * max(1, round(STEP_TIME / interval))
+        return cls(averaged, divided, sample_time, steps, lead, earlier)
 
     def means(self, signal: Array) -> Array:
-        """Return a recorded signal (n,) at the samples of the filter (k,)."""
+        """Return a recorded signal (n,) at the samples of the filter (k,), with one more in front
+        where these begin earlier."""
+        if self.earlier:
+            between, signal = (signal[:-1] + signal[1:]) / 2, signal[1:]
+            if self.divided > 1:
+                held = np.repeat(signal, self.divided)
+                held[:: self.divided] = between
+                return held
+            signal = between
         size = len(signal) // self.averaged
         parts = signal[: size * self.averaged].reshape(size, self.averaged)
         means = parts[:, 0].copy()
@@ -72,11 +97,14 @@ class FilterSteps:
         return means if self.divided == 1 else np.repeat(means, self.divided)
 
     def counts(self, encoder: Array) -> Array:
-        """Return the count that the angle is in at the middle of each sample of the filter (k,)."""
+        """Return the count that the angle is in at the middle of each sample of the filter (k,);
+        where these begin earlier, at the first one of each that was recorded."""
         size = len(encoder) // self.averaged * self.averaged
         whole = encoder == np.floor(encoder)
         if self.divided == 1 and whole.all():
             return encoder[self.averaged // 2 : size : self.averaged].copy()
+        if self.earlier and whole.all():
+            return np.repeat(encoder, self.divided)
         place = np.arange(0.5, size * self.divided // self.averaged)
         place *= self.averaged / self.divided
         place = np.minimum(place + self.lead, len(encoder))
@@ -116,11 +144,14 @@ class Sampler:
         end = before + max(0, size // grid.averaged * grid.averaged)
         ends = [edge // grid.averaged * grid.divided for edge in (before, end)]
         low = grid.counts(held[0])[slice(*ends)] * self._count
-        current, constant, *others = (grid.means(row[before:end]) for row in held[1:])
+        known = held[1:, before - (grid.earlier and before > 0) : end]
+        if grid.earlier and not before:
+            known = np.hstack([known[:, :1], known])
+        current, constant, *others = (grid.means(row) for row in known)
         torque, viscous = self._drive.torque(
             low + self._count / 2, current, constant, grid.sample_time, self._ripple
         )
-        self._before = min(self._context, end)
+        self._before = min(max(self._context, grid.averaged), end)
         self._held = held[:, end - self._before :].copy()
         signals = Signals(torque, viscous, low, self._count)
         return signals, np.array(others).reshape(len(others), len(low))

@@ -45,7 +45,12 @@ from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
 
 ROW_TIME = 20e-3
-"""Time of a row, s: friction's own noise hardly changes within it."""
+"""Mean time of a row, s: friction's own noise hardly changes within it."""
+
+DRAW = (137, 29, 1024)
+"""Factor, addend and modulus that draw the length of each row, half to one and a half times the
+mean (D. H. Lehmer): a force that swings with the rows would meet them at the same phases again and
+again, and rows in which it is small would look untouched."""
 
 NOISE, WALKS, AFTER_REVERSAL, CONTACT = 0.7, (1.5, 6.0), 1.5, 100.0
 """In deviations of a stroke: noise of a row, slow and fast random walk of M under a contact per
@@ -89,8 +94,10 @@ WAVE_COUNT = 2 * len(RIPPLE_ORDERS)
 STATE = np.dtype(
     [
         ("waves", "f8", (WAVE_COUNT,)),
-        # the row that is being filled, and how many of its steps there are, and slide
+        # the row that is being filled, how many steps it has, and how many there are, and slide
         ("row", "f8", (WAVE_COUNT + 1,)),
+        ("length", "f8"),
+        ("drawn_length", "f8"),
         ("filled", "f8"),
         ("slid", "f8"),
         ("mean", "f8", (WAVE_COUNT + 1,)),
@@ -137,6 +144,7 @@ class PowerUp:
             [(lag, factor, gain, steps, time, factor * size, late)], dtype=PARAMETERS
         )
         self._state = np.zeros(1, dtype=STATE)
+        self._state["length"] = steps
         self._state["mean"][0, :-1] = -own
         self._state["learned"][0] = own
         self._state["drawn"][0] = drawn
@@ -187,7 +195,7 @@ class PowerUp:
 
 
 def row_steps(step_time: float) -> int:
-    """Return the steps of a row."""
+    """Return the mean number of steps of a row."""
     return max(1, round(ROW_TIME / step_time))
 
 
@@ -239,11 +247,11 @@ def _follow(
             high, wide = high * cosine + wide * sine, wide * cosine - high * sine
         if sliding.shape[0]:
             for j in range(WAVE_COUNT):
-                s.row[j] += p.factor * waves[j] / p.steps
-            s.row[WAVE_COUNT] += torque[k] / p.steps
+                s.row[j] += p.factor * waves[j] / s.length
+            s.row[WAVE_COUNT] += torque[k] / s.length
             s.slid += 1.0 if sliding[k] else 0.0
             s.filled += 1.0
-            if s.filled >= p.steps:
+            if s.filled >= s.length:
                 _read(s, p)
         weight = 1.0 / (1.0 + math.exp(-s.other))
         mean, variance = 0.0, 0.0
@@ -269,7 +277,7 @@ def _follow(
 @compiled
 def _read(s: Record, p: Record) -> None:
     """Take in a row, and begin the next one."""
-    slides = s.slid >= p.steps
+    slides = s.slid >= s.length
     _pass_time(s, p, slides)
     if slides:
         touching = _touching(s, p)
@@ -292,6 +300,8 @@ def _read(s: Record, p: Record) -> None:
     for i in range(WAVE_COUNT + 1):
         s.row[i] = 0.0
     s.filled = s.slid = 0.0
+    s.drawn_length = (DRAW[0] * s.drawn_length + DRAW[1]) % DRAW[2]
+    s.length = p.steps // 2 + p.steps * s.drawn_length // DRAW[2]
 
 
 @compiled

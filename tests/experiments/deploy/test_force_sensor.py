@@ -65,6 +65,19 @@ def test_readings_are_those_of_python(libraries, samples, motion):
     assert moving <= seen if motion != "rest" else State.STILL in seen
 
 
+@pytest.mark.compiles
+@pytest.mark.parametrize(("interval", "every"), [(0.5e-3, 4), (100e-6, 1)])
+def test_loops_whose_samples_make_an_odd_number_of_those_of_the_equations(
+    tmp_path, samples, interval, every
+):
+    own = instrument(interval=interval, loop_time=interval)
+    part = samples["free"][:, ::every]
+    wanted, found = expected(own, part), read(compiled(tmp_path, header(own)), part)
+    assert np.isfinite(wanted[:, 0]).mean() > 0.9
+    np.testing.assert_array_equal(found[:, 4], wanted[:, 4])
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * RANGE)
+
+
 @pytest.mark.parametrize("motion", ["strokes", "free", "rest"])
 def test_floats_are_off_by_less_than_a_twentieth_of_u(libraries, samples, motion):
     wanted = read(libraries["double"], samples[motion])

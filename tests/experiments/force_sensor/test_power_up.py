@@ -185,3 +185,18 @@ def test_a_contact_that_is_recognised_by_its_end_leaves_nothing_in_the_ripple():
     whole, left, _ = power_up.whole(angle, states[:, TORQUE])
     assert np.sqrt(np.mean((whole - added) ** 2)) < 0.6 * STROKE
     assert np.mean(np.abs(whole - added) < 1.96 * np.sqrt(left)) > 0.95
+
+
+@pytest.mark.parametrize("frequency", [10.0, 12.5, 25.0])
+def test_a_force_that_swings_with_rows_of_20_ms_is_no_ripple(frequency):
+    """From the first row to the last one: rows of one length meet it at two to five phases."""
+    time, angle, states = motion(30.0)
+    added, held = ripple(OTHER, angle) - ripple(LEARNED, angle), []
+    for part in range(3):
+        swing = 5e-3 * np.sin(2 * np.pi * (frequency * time + part / 3) + 0.1)
+        states[:, TORQUE] = swing + noise(time, states, part) + added
+        power_up = PowerUp(model(), STEP, BANDWIDTH)
+        power_up.add(angle, states)
+        whole, left, _ = power_up.whole(angle, states[:, TORQUE])
+        held.append(np.mean(np.abs(whole - added) < 1.96 * np.sqrt(left)))
+    assert np.mean(held) > 0.7
