@@ -55,6 +55,9 @@ finite way, above 1 for ductile ones (Dahl 1968; AIAA J. 14(12) 1675-1682, 1976)
 COARSE, FINE = (16, 6, 3, 5), (7, 4, 5, 4)
 """Values of s, tau, exponent and lag over all of their range, and in each finer grid."""
 
+TAU_STEP = 0.5
+"""Distance of the values of tau that are tried, logarithm."""
+
 FINER_GRIDS = 3
 """Grids that each cover the best of the one before."""
 
@@ -71,9 +74,9 @@ class Hypotheses:
 
     `stairs` have courses without noise. `constant` in N m/A is the mean of all hypotheses on the
     mean staircases, `spread` their standard deviation, `drift` in N m/(A K) that of the constants'
-    change with temperature, `heat_loss_spread` in 1/A2 the root mean square of what all others
-    differ from the most probable one in the relative loss of the constant within `HEATING_TIME`,
-    over the square of the current: slow heat and fast heat look alike in a short staircase.
+    change with temperature, `heat_loss_spread` in 1/A2 the standard uncertainty from tau of the
+    most probable one's relative loss of the constant within `HEATING_TIME`, over the square of the
+    current: the root mean square of what all others differ from it, and the distance of their tau.
     """
 
     stairs: Stairs
@@ -107,14 +110,30 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
     probable /= probable.sum()
     mean = probable @ tried.slope
     spread = np.sqrt(probable @ (tried.slope - mean) ** 2)
+    best, loss = tried.commons[number], float(tried.slope[number, 2])
+    length = float(np.mean(stairs.end.max(axis=1) - stairs.begin.min(axis=1)))
     return Hypotheses(
         means.stairs,
-        tried.commons[number],
+        best,
         constant=float(mean[0]),
         spread=float(spread[0]),
         drift=float(spread[1]),
-        heat_loss_spread=math.hypot(spread[2], mean[2] - tried.slope[number, 2]),
+        heat_loss_spread=math.hypot(spread[2], mean[2] - loss, loss * _untried(best, length)),
     )
+
+
+def _untried(best: Common, length: float) -> float:
+    """Return the relative standard uncertainty of a loss by heat, as tau is tried in steps.
+
+    The loss is known at the end of a staircase of `length` s, whatever tau is; from there to
+    `HEATING_TIME` it grows by tau, which lies anywhere within a step (GUM 4.3.7).
+    """
+    edges = [
+        replace(best, time_constant=best.time_constant * math.exp(side * TAU_STEP / 2))
+        for side in (-1, 1)
+    ]
+    low, high = (math.log(edge.warming() / edge.warming(length)) for edge in edges)
+    return abs(high - low) / math.sqrt(12)
 
 
 @dataclass(frozen=True)
@@ -261,7 +280,7 @@ class _Means:
             )
         ]
         slope = slope.reshape(-1, 3)
-        slope[:, 2] *= [common.warming for common in commons]
+        slope[:, 2] *= [common.warming() for common in commons]
         return commons, square.ravel(), slope
 
     def _fit(

@@ -73,10 +73,9 @@ class Common:
     lag: float | None
     time_constant: float
 
-    @property
-    def warming(self) -> float:
-        """w of (1) for a square of the current after `HEATING_TIME`, s."""
-        return -self.time_constant * math.expm1(-HEATING_TIME / self.time_constant)
+    def warming(self, time: float = HEATING_TIME) -> float:
+        """Return w of (1) over the square of a current that has flown for `time` s, s."""
+        return -self.time_constant * math.expm1(-time / self.time_constant)
 
 
 def arrange(plateaus: Plateaus) -> Stairs:
