@@ -120,6 +120,7 @@ def _drive(instrument: SensorProperties) -> dict[str, Number]:
         "constant_slope": slope,
         "offset_current": model.drive.offset,
         "ripple_kept": math.exp(-grid.sample_time / model.drive.ripple_time),
+        "delay_kept": model.drive.delay_kept(grid.sample_time),
     }
 
 
@@ -163,11 +164,16 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
     model, step_time = instrument.model, instrument.grid.step_time
     own, drawn, gain = power_up.learned_ripple(model)
     uncertainty = model.uncertainty
-    size = model.plant(step_time).torque_factor * (uncertainty.stroke + uncertainty.friction_noise)
+    plant = model.plant(step_time)
+    size = plant.torque_factor * (uncertainty.stroke + uncertainty.friction_noise)
     row_time = power_up.row_steps(step_time) * step_time
     return {
         "wave_kept": math.exp(-step_time / model.learned.shape.ripple_time),
         "wave_gain": gain,
+        "wave_held": power_up.LARGEST_SHOWN,
+        "wave_shown": 1 - math.exp(-step_time / power_up.SHOWN_TIME),
+        "wave_slow": power_up.HELD_LENGTHS * plant.presliding_angle / step_time,
+        "wave_turn": step_time / power_up.turned_inertia(plant),
         "wave_mean": -own,
         "wave_variance": drawn,
         "wave_doubt": drawn * (power_up.WAVE_COUNT * row_time / power_up.FORGOTTEN),

@@ -101,7 +101,7 @@ class Sampler:
     ) -> None:
         self._grid, self._count, self._drive = grid, count, drive
         self._context = context - context % grid.averaged
-        self._ripple = np.zeros(1)
+        self._lagging = np.zeros(2)
         self._held: Array | None = None
         self._before = 0  # of the held ones: context alone
 
@@ -119,7 +119,7 @@ class Sampler:
         low = grid.counts(held[0])[slice(*ends)] * self._count
         current, constant, *others = (grid.means(row[before:end]) for row in held[1:])
         torque, viscous = self._drive.torque(
-            low + self._count / 2, current, constant, grid.sample_time, self._ripple
+            low + self._count / 2, current, constant, grid.sample_time, self._lagging
         )
         self._before = min(self._context, end)
         self._held = held[:, end - self._before :].copy()

@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter import passed
 from rigtool.experiments.force_filter.motion_states import SLIDING_DEFLECTION
-from rigtool.experiments.force_filter.plant import HOUSING, SPEED, TORQUE, Record
+from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, TORQUE, Plant, Record
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS
 from rigtool.experiments.force_model.model import RIPPLE_ORDERS, Kind
@@ -74,6 +74,13 @@ MEMORY, FORGOTTEN = 2.0, 1000.0
 of the ripple grows by what it was at first: strokes pay back what others deviate by, a weak contact
 may be taken for ripple, and rows are not as independent as the equations have it."""
 
+HELD_LENGTHS, SHOWN_TIME = 3.0, 12e-3
+"""Lengths of the bearings' bristle in a step, below which they hold the rotor; and the time, s, in
+which the filter's torque then shows a ripple."""
+
+LARGEST_SHOWN = 2.0
+"""Largest part of a wave that the filter's torque may show."""
+
 MAX_LOG_RATIO = 50.0
 """Largest logarithm of both likelihoods' ratio: no weight is closer to 0 or 1."""
 
@@ -82,6 +89,7 @@ LARGEST_RIPPLE_RATIO = 3.0
 
 PARAMETERS = np.dtype(
     [(name, "f8") for name in ("lag", "factor", "gain", "steps", "time", "size", "late")]
+    + [(name, "f8") for name in ("step_time", "inertia", "friction", "length", "slow", "shown")]
 )
 
 WAVE_COUNT = 2 * len(RIPPLE_ORDERS)
@@ -89,6 +97,14 @@ WAVE_COUNT = 2 * len(RIPPLE_ORDERS)
 STATE = np.dtype(
     [
         ("waves", "f8", (WAVE_COUNT,)),
+        # as the filter's torque shows them, and what its other states `FOLLOWED` are then off by
+        ("seen", "f8", (WAVE_COUNT,)),
+        ("angle", "f8", (WAVE_COUNT,)),
+        ("speed", "f8", (WAVE_COUNT,)),
+        ("housing", "f8", (WAVE_COUNT,)),
+        ("sine", "f8", (WAVE_COUNT,)),
+        ("cosine", "f8", (WAVE_COUNT,)),
+        ("direction", "f8"),
         # the row that is being filled, and how many of its steps there are, and slide
         ("row", "f8", (WAVE_COUNT + 1,)),
         ("filled", "f8"),
@@ -129,16 +145,21 @@ class PowerUp:
         # ripple that grows with the current is in the variance alone
         own, drawn, gain = learned_ripple(model)
         size = model.uncertainty.stroke + model.uncertainty.friction_noise
-        factor = model.plant(step_time).torque_factor
+        plant = model.plant(step_time)
+        factor = plant.torque_factor
+        inertia = turned_inertia(plant)
         steps = row_steps(step_time)
         lag = 1 - math.exp(-step_time / model.learned.shape.ripple_time)
         time, late = steps * step_time, late_rows(step_time)
-        self._parameters = np.array(
-            [(lag, factor, gain, steps, time, factor * size, late)], dtype=PARAMETERS
-        )
+        housing = plant.housing_friction, plant.housing_presliding_angle
+        slow = HELD_LENGTHS * plant.presliding_angle / step_time
+        shown = 1 - math.exp(-step_time / SHOWN_TIME)
+        numbers = lag, factor, gain, steps, time, factor * size, late, step_time, inertia
+        self._parameters = np.array([(*numbers, *housing, slow, shown)], dtype=PARAMETERS)
         self._state = np.zeros(1, dtype=STATE)
         self._state["mean"][0, :-1] = -own
         self._state["learned"][0] = own
+        self._state["direction"] = 1.0
         self._state["drawn"][0] = drawn
         variances = np.append(drawn, (factor * size) ** 2)
         self._state["covariance"][0] = np.diag(variances)
@@ -154,14 +175,17 @@ class PowerUp:
         other: float = self._state["other"][0]
         return 1 / (1 + math.exp(-other))
 
-    def add(self, angle: Array, states: Array) -> tuple[Array, Array, Array]:
+    def add(self, angle: Array, states: Array, gains: Array) -> tuple[Array, Array, Array]:
         """Return them from these steps and those before, torque behind the low-pass (m,).
 
-        `angle` (m,) rad is the rotor's, `states` (m, 12) those of the causal filter.
+        `angle` (m,) rad is the rotor's, `states` (m, 12) those of the causal filter, `gains` (m, 6)
+        its `Estimate.gains`.
         """
         way = np.sign(states[:, SPEED])
         sliding = states[:, HOUSING] * way >= SLIDING_DEFLECTION
-        return self._followed(self._state, angle, states[:, TORQUE], sliding)
+        moving = states[:, [GRASPER, SPEED, HOUSING]]
+        follows = np.column_stack([gains, moving])
+        return self._followed(self._state, angle, states[:, TORQUE], sliding, follows)
 
     def whole(self, angle: Array, torque: Array) -> tuple[Array, Array, Array]:
         """Return them from all that was added, at its steps again: (m,) not low-passed.
@@ -174,16 +198,27 @@ class PowerUp:
         """Return `whole` for a recording that is given piece by piece."""
         state = self._state.copy()
         state["waves"] = 0.0
-        return lambda angle, torque: self._followed(state, angle, torque, np.zeros(0, np.bool_))
+        none = np.zeros(0, np.bool_), np.zeros((0, 0))
+        return lambda angle, torque: self._followed(state, angle, torque, *none)
 
     def _followed(
-        self, state: NDArray[np.void], angle: Array, torque: Array, sliding: NDArray[np.bool_]
+        self,
+        state: NDArray[np.void],
+        angle: Array,
+        torque: Array,
+        sliding: NDArray[np.bool_],
+        follows: Array,
     ) -> tuple[Array, Array, Array]:
         found = np.empty((3, len(angle)))
         torque = np.ascontiguousarray(torque)
-        _follow(state, self._parameters, self._low_pass, angle, torque, sliding, found)
+        _follow(state, self._parameters, self._low_pass, angle, torque, sliding, follows, found)
         ripple, variance, less = found
         return ripple, variance, less
+
+
+def turned_inertia(plant: Plant) -> float:
+    """Return the inertia at the rotor of all that turns, kg m2, on a tendon that does not yield."""
+    return plant.inertia + plant.grasper_inertia / (plant.angle_ratio * plant.torque_factor)
 
 
 def row_steps(step_time: float) -> int:
@@ -222,6 +257,7 @@ def _follow(
     angle: Array,
     torque: Array,
     sliding: NDArray[np.bool_],
+    follows: Array,
     found: Array,
 ) -> None:
     """Advance by m steps; `found` (3, m) receives ripple, variance and drive torque.
@@ -238,25 +274,28 @@ def _follow(
             waves[j + 1] += p.lag * (high - waves[j + 1])
             high, wide = high * cosine + wide * sine, wide * cosine - high * sine
         if sliding.shape[0]:
+            _show(s, p, follows[k])
             for j in range(WAVE_COUNT):
-                s.row[j] += p.factor * waves[j] / p.steps
+                s.row[j] += p.factor * s.seen[j] / p.steps
             s.row[WAVE_COUNT] += torque[k] / p.steps
             s.slid += 1.0 if sliding[k] else 0.0
             s.filled += 1.0
             if s.filled >= p.steps:
                 _read(s, p)
         weight = 1.0 / (1.0 + math.exp(-s.other))
-        mean, variance = 0.0, 0.0
+        shown = s.seen if sliding.shape[0] else waves
+        mean, variance, less = 0.0, 0.0, 0.0
         for i in range(WAVE_COUNT):
-            mean += p.factor * waves[i] * s.mean[i]
-            total = 0.5 * s.covariance[i, i] * waves[i]
+            mean += p.factor * shown[i] * s.mean[i]
+            less += waves[i] * s.mean[i]
+            total = 0.5 * s.covariance[i, i] * shown[i]
             for j in range(i):
-                total += s.covariance[i, j] * waves[j]
-            variance += 2.0 * waves[i] * total
+                total += s.covariance[i, j] * shown[j]
+            variance += 2.0 * shown[i] * total
         variance = p.factor**2 * variance + (p.gain * torque[k]) ** 2
         found[0, k] = weight * mean
         found[1, k] = weight * variance + weight * (1.0 - weight) * mean * mean
-        found[2, k] = weight * mean / p.factor
+        found[2, k] = weight * less
         if sliding.shape[0]:
             first, second = s.passed
             found[0, k] = low_pass[2, 0] * first + low_pass[2, 1] * second
@@ -264,6 +303,39 @@ def _follow(
             for i in range(2):
                 s.passed[i] = low_pass[i, 0] * first + low_pass[i, 1] * second
                 s.passed[i] += low_pass[i, 2] * weight * mean
+
+
+@compiled
+def _show(s: Record, p: Record, follows: Array) -> None:
+    """Advance by a step the waves as the filter's torque shows them.
+
+    Tendon and output turn with the rotor, and the filter is an observer of angle, speed, friction
+    of the housing and torque. A drive torque that it does not know comes with its gains into each:
+    `follows` (9,), of which the last three are the output's angle, speed and the bristle. Where the
+    rotor is so slow that its bearings hold it, the torque follows within `SHOWN_TIME`.
+    """
+    output, speed, bristle = follows[6], follows[7], follows[8]
+    if bristle * s.direction < -0.5:  # a stroke begins
+        s.direction = 1.0 if bristle > 0.0 else -1.0
+        s.sine[:] = s.cosine[:] = 0.0
+    by_sine, by_cosine = bristle * math.sin(output), bristle * math.cos(output)
+    left = math.exp(-abs(speed) * p.step_time / p.length)
+    bent = (1.0 - bristle if speed > 0.0 else 1.0 + bristle) * left * p.step_time / p.length
+    for j in range(WAVE_COUNT):
+        held = by_sine * s.sine[j] + by_cosine * s.cosine[j] - p.friction * s.housing[j]
+        s.housing[j] = left * s.housing[j] + bent * s.speed[j]
+        s.speed[j] += p.step_time / p.inertia * (s.seen[j] + held - s.waves[j])
+        s.angle[j] += p.step_time * s.speed[j]
+        before, off = s.seen[j], s.angle[j]
+        s.angle[j] -= follows[0] * off
+        s.speed[j] -= follows[1] * off
+        s.housing[j] -= follows[2] * off
+        s.sine[j] += follows[3] * off
+        s.cosine[j] += follows[4] * off
+        s.seen[j] += follows[5] / p.factor * off
+        if abs(speed) < p.slow or abs(s.seen[j]) > LARGEST_SHOWN:
+            s.angle[j] = s.speed[j] = s.housing[j] = 0.0
+            s.seen[j] = before + p.shown * (s.waves[j] - before)
 
 
 @compiled

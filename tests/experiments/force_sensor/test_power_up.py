@@ -38,6 +38,11 @@ def motion(seconds=40.0, way=1.25):
     return time, angle, states
 
 
+def gains(states):
+    """Return the gains of a filter that the bearings hold: the motion is slow."""
+    return np.zeros((len(states), 6))
+
+
 def ripple(coefficients, angle):
     """Return a ripple behind its lag, N m at the output."""
     waves = sum(
@@ -68,7 +73,7 @@ def another():
     added = ripple(OTHER, angle) - ripple(LEARNED, angle)
     states[:, TORQUE] = contact(time) + noise(time, states) + added
     power_up = PowerUp(model(), STEP, BANDWIDTH)
-    found, variance, _ = power_up.add(angle, states)
+    found, variance, _ = power_up.add(angle, states, gains(states))
     return power_up, angle, states, added, found, variance
 
 
@@ -88,7 +93,7 @@ def test_motion_over_a_small_part_of_a_turn_shows_the_mean_of_the_ripple_there()
     added = ripple(OTHER, angle) - ripple(LEARNED, angle)
     states[:, TORQUE] = contact(time) + noise(time, states) + added
     power_up = PowerUp(model(), STEP, BANDWIDTH)
-    found, variance, _ = power_up.add(angle, states)
+    found, variance, _ = power_up.add(angle, states, gains(states))
     late = slice(round(20 / STEP), None)
     assert abs(added[late].mean()) > 0.8e-3
     assert abs((found - added)[late].mean()) < 0.2 * abs(added[late].mean())
@@ -99,7 +104,7 @@ def test_the_learned_power_up_changes_nothing():
     time, angle, states = motion()
     states[:, TORQUE] = contact(time) + noise(time, states)
     power_up = PowerUp(model(), STEP, BANDWIDTH)
-    found, variance, _ = power_up.add(angle, states)
+    found, variance, _ = power_up.add(angle, states, gains(states))
     late = slice(round(10 / STEP), None)
     assert power_up.probability < 0.01
     assert np.abs(found[late]).max() < 0.1 * STROKE
@@ -110,7 +115,7 @@ def test_blocks_of_any_length_give_the_same(another):
     _, angle, states, _, found, variance = another
     parts, again = PowerUp(model(), STEP, BANDWIDTH), []
     for first, last in ((0, 7), (7, 7), (7, 5001), (5001, None)):
-        again.append(parts.add(angle[first:last], states[first:last]))
+        again.append(parts.add(angle[first:last], states[first:last], gains(states[first:last])))
     torques, variances, _ = zip(*again, strict=True)
     np.testing.assert_array_equal(np.concatenate(torques), found)
     np.testing.assert_array_equal(np.concatenate(variances), variance)
@@ -119,7 +124,7 @@ def test_blocks_of_any_length_give_the_same(another):
 def test_at_rest_nothing_is_learned_and_the_doubt_stays():
     _, angle, states = motion(5.0)
     angle[:], states[:, SPEED], states[:, HOUSING] = 0.5, 0.0, 0.3
-    found, variance, _ = PowerUp(model(), STEP, BANDWIDTH).add(angle, states)
+    found, variance, _ = PowerUp(model(), STEP, BANDWIDTH).add(angle, states, gains(states))
     settled = slice(round(1 / STEP), None)
     # half of the mean of a ripple that is all its own: minus the learned one
     gone = -ripple(LEARNED, angle)
@@ -135,7 +140,7 @@ def test_an_order_that_was_learned_too_small_may_be_larger_at_another_power_up()
     states[:, TORQUE] = contact(time) + noise(time, states) + added
     late, errors = slice(round(10 / STEP), None), {}
     for uncertain in (0.0, 1e-3):
-        found, variance, _ = PowerUp(model(uncertain), STEP, BANDWIDTH).add(angle, states)
+        found, variance, _ = PowerUp(model(uncertain), STEP, BANDWIDTH).add(angle, states, gains(states))
         errors[uncertain] = np.sqrt(np.mean((found - added)[late] ** 2))
     assert errors[1e-3] < 0.15 * np.sqrt(np.mean(added**2))
     assert errors[1e-3] < 0.7 * errors[0.0]
@@ -149,7 +154,7 @@ def test_a_force_that_repeats_with_the_angle_is_no_ripple(stiffness):
     spring = stiffness * np.maximum(angle - 1.5, 0.0)
     states[:, TORQUE] = spring + noise(time, states)
     power_up = PowerUp(model(), STEP, BANDWIDTH)
-    found, *_ = power_up.add(angle, states)
+    found, *_ = power_up.add(angle, states, gains(states))
     assert power_up.probability < 1e-4
     late = slice(round(20 / STEP), None)
     assert np.abs(found[late]).max() < 0.01 * STROKE
@@ -169,7 +174,7 @@ def ramps(time, largest, every):
 def test_weak_contacts_that_grow_slowly_are_no_ripple(largest):
     time, angle, states = motion()
     states[:, TORQUE] = ramps(time, largest, 10.0) + noise(time, states)
-    found, variance, _ = PowerUp(model(), STEP, BANDWIDTH).add(angle, states)
+    found, variance, _ = PowerUp(model(), STEP, BANDWIDTH).add(angle, states, gains(states))
     assert np.sqrt(np.mean(found**2)) < 0.5 * STROKE
     assert np.mean(np.abs(found) < 1.96 * np.sqrt(variance)) > 0.95
 
@@ -179,7 +184,7 @@ def test_a_contact_that_is_recognised_by_its_end_leaves_nothing_in_the_ripple():
     added = ripple(OTHER, angle) - ripple(LEARNED, angle)
     states[:, TORQUE] = ramps(time, 4e-3, 8.0) + noise(time, states) + added
     power_up = PowerUp(model(), STEP, BANDWIDTH)
-    found, variance, _ = power_up.add(angle, states)
+    found, variance, _ = power_up.add(angle, states, gains(states))
     assert power_up.probability > 0.99
     assert np.mean(np.abs(found - added) < 1.96 * np.sqrt(variance)) > 0.95
     whole, left, _ = power_up.whole(angle, states[:, TORQUE])
