@@ -906,7 +906,7 @@ static inline void rs_pass_time(struct rigtool_sensor *s, int slides)
         rs_doubt(s);
 }
 
-/* Advance by a step the waves as the filter's torque shows them: `_show` of power_up.py. */
+/* Advance by a step the waves as the filter's torque shows them: shown_ripple.py. */
 static inline void rs_show(struct rigtool_sensor *s)
 {
     const struct rs_model *m = &rs_model;
@@ -915,6 +915,9 @@ static inline void rs_show(struct rigtool_sensor *s)
     const rs_real path = RS_MATH(fabs)(speed) * m->step_time / m->housing_presliding_angle;
     const rs_real left = rs_exp(-path), size = m->step_time / m->housing_presliding_angle;
     const rs_real bent = (speed > 0 ? 1 - bristle : 1 + bristle) * left * size;
+    const rs_real root =
+        RS_MATH(sqrt)(rs_square(s->x[RS_TORQUE]) + rs_square(m->load_friction_onset));
+    const rs_real carried = 1 + m->load_friction * bristle * s->x[RS_TORQUE] / root;
     const rs_real by_torque = gain[RS_TORQUE] / m->torque_factor;
     const int held = RS_MATH(fabs)(speed) < m->wave_slow;
     const int begins = bristle * s->stroke < (rs_real)-0.5;
@@ -927,7 +930,7 @@ static inline void rs_show(struct rigtool_sensor *s)
         rs_real torque, off;
         if (begins)
             w->sine = w->cosine = 0;
-        torque = w->seen + by_sine * w->sine + by_cosine * w->cosine - s->waves[j]
+        torque = carried * w->seen + by_sine * w->sine + by_cosine * w->cosine - s->waves[j]
             - m->housing_friction * w->housing;
         w->housing = left * w->housing + bent * w->speed;
         w->speed += m->wave_turn * torque;

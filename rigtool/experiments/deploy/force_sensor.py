@@ -17,7 +17,7 @@ import numpy as np
 from rigtool.experiments.deploy.c_header import comment
 from rigtool.experiments.force_filter import kalman, motion_states, passed
 from rigtool.experiments.force_model.drive import VISCOUS
-from rigtool.experiments.force_sensor import power_up
+from rigtool.experiments.force_sensor import power_up, shown_ripple
 from rigtool.experiments.force_sensor.sensor import AT_THE_LIMIT, SensorProperties
 from rigtool.numerics.arrays import Array
 
@@ -170,10 +170,10 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
     return {
         "wave_kept": math.exp(-step_time / model.learned.shape.ripple_time),
         "wave_gain": gain,
-        "wave_held": power_up.LARGEST_SHOWN,
-        "wave_shown": 1 - math.exp(-step_time / power_up.SHOWN_TIME),
-        "wave_slow": power_up.HELD_LENGTHS * plant.presliding_angle / step_time,
-        "wave_turn": step_time / power_up.turned_inertia(plant),
+        "wave_held": shown_ripple.LARGEST_SHOWN,
+        "wave_shown": 1 - math.exp(-step_time / shown_ripple.SHOWN_TIME),
+        "wave_slow": shown_ripple.HELD_LENGTHS * plant.presliding_angle / step_time,
+        "wave_turn": step_time / shown_ripple.turned_inertia(plant),
         "wave_mean": -own,
         "wave_variance": drawn,
         "wave_doubt": drawn * (power_up.WAVE_COUNT * row_time / power_up.FORGOTTEN),

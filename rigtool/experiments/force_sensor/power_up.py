@@ -37,10 +37,12 @@ from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter import passed
 from rigtool.experiments.force_filter.motion_states import SLIDING_DEFLECTION
-from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, TORQUE, Plant, Record
+from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, TORQUE, Record
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS
 from rigtool.experiments.force_model.model import RIPPLE_ORDERS, Kind
+from rigtool.experiments.force_sensor import shown_ripple
+from rigtool.experiments.force_sensor.shown_ripple import show
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
 
@@ -74,13 +76,6 @@ MEMORY, FORGOTTEN = 2.0, 1000.0
 of the ripple grows by what it was at first: strokes pay back what others deviate by, a weak contact
 may be taken for ripple, and rows are not as independent as the equations have it."""
 
-HELD_LENGTHS, SHOWN_TIME = 3.0, 12e-3
-"""Lengths of the bearings' bristle in a step, below which they hold the rotor; and the time, s, in
-which the filter's torque then shows a ripple."""
-
-LARGEST_SHOWN = 2.0
-"""Largest part of a wave that the filter's torque may show."""
-
 MAX_LOG_RATIO = 50.0
 """Largest logarithm of both likelihoods' ratio: no weight is closer to 0 or 1."""
 
@@ -90,6 +85,7 @@ LARGEST_RIPPLE_RATIO = 3.0
 PARAMETERS = np.dtype(
     [(name, "f8") for name in ("lag", "factor", "gain", "steps", "time", "size", "late")]
     + [(name, "f8") for name in ("step_time", "inertia", "friction", "length", "slow", "shown")]
+    + [(name, "f8") for name in ("load_friction", "onset")]
 )
 
 WAVE_COUNT = 2 * len(RIPPLE_ORDERS)
@@ -147,15 +143,16 @@ class PowerUp:
         size = model.uncertainty.stroke + model.uncertainty.friction_noise
         plant = model.plant(step_time)
         factor = plant.torque_factor
-        inertia = turned_inertia(plant)
+        inertia = shown_ripple.turned_inertia(plant)
         steps = row_steps(step_time)
         lag = 1 - math.exp(-step_time / model.learned.shape.ripple_time)
         time, late = steps * step_time, late_rows(step_time)
         housing = plant.housing_friction, plant.housing_presliding_angle
-        slow = HELD_LENGTHS * plant.presliding_angle / step_time
-        shown = 1 - math.exp(-step_time / SHOWN_TIME)
+        slow = shown_ripple.HELD_LENGTHS * plant.presliding_angle / step_time
+        shown = 1 - math.exp(-step_time / shown_ripple.SHOWN_TIME)
         numbers = lag, factor, gain, steps, time, factor * size, late, step_time, inertia
-        self._parameters = np.array([(*numbers, *housing, slow, shown)], dtype=PARAMETERS)
+        load = plant.load_friction, plant.load_friction_onset
+        self._parameters = np.array([(*numbers, *housing, slow, shown, *load)], dtype=PARAMETERS)
         self._state = np.zeros(1, dtype=STATE)
         self._state["mean"][0, :-1] = -own
         self._state["learned"][0] = own
@@ -216,11 +213,6 @@ class PowerUp:
         return ripple, variance, less
 
 
-def turned_inertia(plant: Plant) -> float:
-    """Return the inertia at the rotor of all that turns, kg m2, on a tendon that does not yield."""
-    return plant.inertia + plant.grasper_inertia / (plant.angle_ratio * plant.torque_factor)
-
-
 def row_steps(step_time: float) -> int:
     """Return the steps of a row."""
     return max(1, round(ROW_TIME / step_time))
@@ -274,7 +266,7 @@ def _follow(
             waves[j + 1] += p.lag * (high - waves[j + 1])
             high, wide = high * cosine + wide * sine, wide * cosine - high * sine
         if sliding.shape[0]:
-            _show(s, p, follows[k])
+            show(s, p, follows[k], torque[k])
             for j in range(WAVE_COUNT):
                 s.row[j] += p.factor * s.seen[j] / p.steps
             s.row[WAVE_COUNT] += torque[k] / p.steps
@@ -303,39 +295,6 @@ def _follow(
             for i in range(2):
                 s.passed[i] = low_pass[i, 0] * first + low_pass[i, 1] * second
                 s.passed[i] += low_pass[i, 2] * weight * mean
-
-
-@compiled
-def _show(s: Record, p: Record, follows: Array) -> None:
-    """Advance by a step the waves as the filter's torque shows them.
-
-    Tendon and output turn with the rotor, and the filter is an observer of angle, speed, friction
-    of the housing and torque. A drive torque that it does not know comes with its gains into each:
-    `follows` (9,), of which the last three are the output's angle, speed and the bristle. Where the
-    rotor is so slow that its bearings hold it, the torque follows within `SHOWN_TIME`.
-    """
-    output, speed, bristle = follows[6], follows[7], follows[8]
-    if bristle * s.direction < -0.5:  # a stroke begins
-        s.direction = 1.0 if bristle > 0.0 else -1.0
-        s.sine[:] = s.cosine[:] = 0.0
-    by_sine, by_cosine = bristle * math.sin(output), bristle * math.cos(output)
-    left = math.exp(-abs(speed) * p.step_time / p.length)
-    bent = (1.0 - bristle if speed > 0.0 else 1.0 + bristle) * left * p.step_time / p.length
-    for j in range(WAVE_COUNT):
-        held = by_sine * s.sine[j] + by_cosine * s.cosine[j] - p.friction * s.housing[j]
-        s.housing[j] = left * s.housing[j] + bent * s.speed[j]
-        s.speed[j] += p.step_time / p.inertia * (s.seen[j] + held - s.waves[j])
-        s.angle[j] += p.step_time * s.speed[j]
-        before, off = s.seen[j], s.angle[j]
-        s.angle[j] -= follows[0] * off
-        s.speed[j] -= follows[1] * off
-        s.housing[j] -= follows[2] * off
-        s.sine[j] += follows[3] * off
-        s.cosine[j] += follows[4] * off
-        s.seen[j] += follows[5] / p.factor * off
-        if abs(speed) < p.slow or abs(s.seen[j]) > LARGEST_SHOWN:
-            s.angle[j] = s.speed[j] = s.housing[j] = 0.0
-            s.seen[j] = before + p.shown * (s.waves[j] - before)
 
 
 @compiled

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED, STATES, TORQUE
 from rigtool.experiments.force_model.deviations import Deviations
@@ -9,6 +10,8 @@ from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS, LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
 from rigtool.experiments.force_sensor.power_up import PowerUp
+from rigtool.experiments.force_sensor.sensor import Sensor
+from tests.experiments.deploy import sensors
 
 STEP, BANDWIDTH = 1e-3, 10.0
 FACTOR, LAG = 1.2, 0.05
@@ -39,7 +42,7 @@ def motion(seconds=40.0, way=1.25):
 
 
 def gains(states):
-    """Return the gains of a filter that the bearings hold: the motion is slow."""
+    """Return gains that do not count: the motion is so slow that the bearings hold the rotor."""
     return np.zeros((len(states), 6))
 
 
@@ -140,7 +143,9 @@ def test_an_order_that_was_learned_too_small_may_be_larger_at_another_power_up()
     states[:, TORQUE] = contact(time) + noise(time, states) + added
     late, errors = slice(round(10 / STEP), None), {}
     for uncertain in (0.0, 1e-3):
-        found, variance, _ = PowerUp(model(uncertain), STEP, BANDWIDTH).add(angle, states, gains(states))
+        found, variance, _ = PowerUp(model(uncertain), STEP, BANDWIDTH).add(
+            angle, states, gains(states)
+        )
         errors[uncertain] = np.sqrt(np.mean((found - added)[late] ** 2))
     assert errors[1e-3] < 0.15 * np.sqrt(np.mean(added**2))
     assert errors[1e-3] < 0.7 * errors[0.0]
@@ -190,3 +195,16 @@ def test_a_contact_that_is_recognised_by_its_end_leaves_nothing_in_the_ripple():
     whole, left, _ = power_up.whole(angle, states[:, TORQUE])
     assert np.sqrt(np.mean((whole - added) ** 2)) < 0.6 * STROKE
     assert np.mean(np.abs(whole - added) < 1.96 * np.sqrt(left)) > 0.95
+
+
+def test_in_fast_motion_ripple_is_what_the_filter_shows_of_it():
+    """Ten strokes in a second: the filter shows the second order late and in part."""
+    time = np.arange(round(10.0 / sensors.INTERVAL)) * sensors.INTERVAL
+    samples = sensors.moved(1.3 - 1.3 * np.cos(2 * np.pi * 5.0 * time), np.zeros(len(time)))
+    angle, kept = samples[0] * sensors.WIDTH, np.exp(-sensors.INTERVAL / LAG)
+    ripple = lfilter([1 - kept], [1, -kept], 1.5e-3 * np.sin(2 * angle))
+    samples[1] += ripple / (sensors.CONSTANT[0] + sensors.CONSTANT[1] * sensors.WARM)
+    less = Sensor(sensors.instrument()).add(samples, last=True).less
+    acts = ripple[: 8 * len(less)].reshape(-1, 8).mean(axis=1)
+    late = slice(round(4.0 / STEP), None)
+    assert (less - acts)[late].std() < 0.4 * acts[late].std()
