@@ -1,8 +1,7 @@
 """How ripple that nobody knows of shows in the torque that the filter finds.
 
 While the rotor slides, the filter is an observer of angle, speed, friction and torque. It finds a
-change of the drive torque some 15 ms late, and what changes as fast as that in part: at 5 turns a
-second the second order is 0.8 of itself and 40 degrees late. What stays the same along a stroke is
+change of the drive torque late, and fast changes in part. What stays the same along a stroke is
 shared between the torque and the stroke's own deviation. Errors by a drive torque follow the
 filter's own gains (B. Friedland, IEEE Trans. Autom. Control 14(4) 359-367, 1969).
 """
