@@ -106,7 +106,8 @@ struct rs_model {
     int32_t turn;        /* counts */
     uint64_t output_turn; /* turns of the output for a count, 2^-64 */
     rs_real constant, constant_slope;   /* torque at 0 degC, N m/A, and its change per kelvin */
-    rs_real offset_current, ripple_kept; /* A; what a sample leaves of the lagging ripple */
+    rs_real offset_current; /* A */
+    rs_real ripple_kept, delay_kept; /* what a sample leaves of the lagging ripple and torque */
     /* the drive: experiments/force_filter/plant.py has the equations */
     rs_real inertia, coulomb, static_friction, stribeck_velocity, presliding_angle;
     rs_real presliding_damping, angle_ratio, torque_factor, stiffness, damping, grasper_inertia;
@@ -118,7 +119,8 @@ struct rs_model {
     rs_real quiet_walk, slow_walk, step_walk, walk[RS_MOVING];
     rs_real short_kept, long_kept, step_threshold, slow_threshold, least_variance;
     /* ripple of another power-up: experiments/force_sensor/power_up.py has the equations */
-    rs_real wave_kept, wave_gain, wave_mean[RS_WAVES], wave_variance[RS_WAVES], wave_doubt[RS_WAVES];
+    rs_real wave_kept, wave_gain, wave_held, wave_shown, wave_slow, wave_turn;
+    rs_real wave_mean[RS_WAVES], wave_variance[RS_WAVES], wave_doubt[RS_WAVES];
     rs_real row_noise, row_walk[2], row_reversal, row_contact, row_untouched, row_kept;
     rs_real row_begins, row_ends, row_changes, row_least, row_evidence, row_certain, row_largest;
     rs_real row_recognised;
@@ -131,6 +133,11 @@ struct rs_model {
 };
 
 @DATA@
+
+/* A wave as the filter's torque shows it, and what the other states are then off by. */
+struct rs_shown {
+    rs_real seen, angle, speed, housing, sine, cosine;
+};
 
 /* What is known of the ripple of this power-up: mean, and covariance as U diag(d) U' again. */
 struct rs_ripple {
@@ -148,13 +155,15 @@ struct rigtool_sensor {
      * The last columns of u are the covariance of x and q; nothing depends on it. */
     rs_real x[RS_STATES], u[RS_STATES][RS_STATES + RS_ORDER], d[RS_STATES];
     rs_real q[RS_ORDER], own[RS_ORDER][RS_ORDER]; /* of the low-pass, and their covariance */
-    rs_real ripple, direction, step_sum, slow_sum, spread, outer_spread;
+    rs_real ripple, late, direction, step_sum, slow_sum, spread, outer_spread;
     int step_left, slow_left; /* steps at the level of a step, of a slow change */
     int32_t base; /* count that the angles are from */
     rs_real turn; /* of the output at this count, in turns */
     rs_real at, sine, cosine; /* of the output at the begin of the step */
     int begun, samples, creeps;
     /* the row that is filled, torque first; and what was known of the ripple, the earlier first */
+    struct rs_shown shown[RS_WAVES];
+    rs_real gain[RS_STATES], stroke;
     rs_real waves[RS_WAVES], row[RS_PARTS], ripple_q[RS_ORDER];
     struct rs_ripple known, before[2];
     rs_real plain, plain_variance, other; /* without it; logarithm of the likelihoods' ratio */
@@ -248,8 +257,9 @@ static inline rs_real rs_drive(struct rigtool_sensor *s, rs_real *viscous)
     raw = here[RS_RIPPLE]
         + plain * (here[RS_GAIN] + RS_MATH(fabs)(s->current) * here[RS_SQUARE]);
     s->ripple += (1 - m->ripple_kept) * (raw - s->ripple);
+    s->late += (1 - m->delay_kept) * (plain - s->late);
     *viscous = here[RS_VISCOUS];
-    return plain - here[RS_COGGING] - s->ripple;
+    return s->late - here[RS_COGGING] - s->ripple;
 }
 
 /* Advance the states, and with them the columns of U, by one sample of the equations. */
@@ -516,15 +526,20 @@ static inline void rs_pass(struct rigtool_sensor *s)
     }
 }
 
-/* What is needed of the states before the samples of a step. */
-static inline void rs_ahead(struct rigtool_sensor *s)
+/* Where the output is at the begin of a step. */
+static inline void rs_locate(struct rigtool_sensor *s)
 {
     const rs_real angle = s->turn * RS_TURN + s->x[RS_GRASPER];
-    s->spread = rs_model.undecided * RS_MATH(sqrt)(rs_variance(s, RS_SPEED));
-    s->outer_spread = rs_model.undecided * RS_MATH(sqrt)(rs_variance(s, RS_GRASPER_SPEED));
     s->at = s->x[RS_GRASPER];
     s->sine = RS_MATH(sin)(angle);
     s->cosine = RS_MATH(cos)(angle);
+}
+
+/* What is needed of the states before the samples of a step. */
+static inline void rs_ahead(struct rigtool_sensor *s)
+{
+    s->spread = rs_model.undecided * RS_MATH(sqrt)(rs_variance(s, RS_SPEED));
+    s->outer_spread = rs_model.undecided * RS_MATH(sqrt)(rs_variance(s, RS_GRASPER_SPEED));
     rs_pass(s);
 }
 
@@ -663,6 +678,7 @@ static inline void rs_update(struct rigtool_sensor *s)
         shared_weight[i] = shared[i] * weight;
     }
     for (i = 0; i < RS_STATES; i++) {
+        s->gain[i] = column[i] * weight;
         s->x[i] += column[i] * mean;
         for (j = 0; j < RS_ORDER; j++)
             s->u[i][RS_STATES + j] -= column[i] * shared_weight[j];
@@ -892,6 +908,49 @@ static inline void rs_pass_time(struct rigtool_sensor *s, int slides)
         rs_doubt(s);
 }
 
+/* Advance by a step the waves as the filter's torque shows them: shown_ripple.py. */
+static inline void rs_show(struct rigtool_sensor *s)
+{
+    const struct rs_model *m = &rs_model;
+    const rs_real *gain = s->gain, speed = s->x[RS_SPEED], bristle = s->x[RS_HOUSING];
+    const rs_real by_sine = bristle * s->sine, by_cosine = bristle * s->cosine;
+    const rs_real path = RS_MATH(fabs)(speed) * m->step_time / m->housing_presliding_angle;
+    const rs_real left = rs_exp(-path), size = m->step_time / m->housing_presliding_angle;
+    const rs_real bent = (speed > 0 ? 1 - bristle : 1 + bristle) * left * size;
+    const rs_real root =
+        RS_MATH(sqrt)(rs_square(s->x[RS_TORQUE]) + rs_square(m->load_friction_onset));
+    const rs_real carried = 1 + m->load_friction * bristle * s->x[RS_TORQUE] / root;
+    const rs_real by_torque = gain[RS_TORQUE] / m->torque_factor;
+    const int held = RS_MATH(fabs)(speed) < m->wave_slow;
+    const int begins = bristle * s->stroke < (rs_real)-0.5;
+    int j;
+    if (begins)
+        s->stroke = bristle > 0 ? (rs_real)1 : (rs_real)-1;
+    for (j = 0; j < RS_WAVES; j++) {
+        struct rs_shown *w = &s->shown[j];
+        const rs_real before = w->seen;
+        rs_real torque, off;
+        if (begins)
+            w->sine = w->cosine = 0;
+        torque = carried * w->seen + by_sine * w->sine + by_cosine * w->cosine - s->waves[j]
+            - m->housing_friction * w->housing;
+        w->housing = left * w->housing + bent * w->speed;
+        w->speed += m->wave_turn * torque;
+        w->angle += m->step_time * w->speed;
+        off = w->angle;
+        w->angle -= gain[RS_ANGLE] * off;
+        w->speed -= gain[RS_SPEED] * off;
+        w->housing -= gain[RS_HOUSING] * off;
+        w->sine += gain[RS_SINE] * off;
+        w->cosine += gain[RS_COSINE] * off;
+        w->seen += by_torque * off;
+        if (held || RS_MATH(fabs)(w->seen) > m->wave_held) {
+            w->angle = w->speed = w->housing = 0;
+            w->seen = before + m->wave_shown * (s->waves[j] - before);
+        }
+    }
+}
+
 /* Add a step to the row; a whole row is taken in where all of it slides. The length of the next
  * one is drawn (D. H. Lehmer): no force swings with the rows. */
 static inline void rs_row(struct rigtool_sensor *s)
@@ -902,7 +961,7 @@ static inline void rs_row(struct rigtool_sensor *s)
     int j;
     s->row[0] += s->x[RS_TORQUE] * share;
     for (j = 0; j < RS_WAVES; j++)
-        s->row[j + 1] += m->torque_factor * s->waves[j] * share;
+        s->row[j + 1] += m->torque_factor * s->shown[j].seen * share;
     s->row_slid += s->x[RS_HOUSING] * direction >= m->sliding;
     if (++s->row_steps < s->row_length)
         return;
@@ -924,16 +983,17 @@ static inline rs_real rs_rippled(struct rigtool_sensor *s, rs_real *variance)
     rs_real power, weight, mean = 0, spread, ripple, q[RS_ORDER];
     int i, j;
     rs_wave(s);
+    rs_show(s);
     rs_row(s);
     power = rs_exp(-RS_MATH(fabs)(s->other));
     weight = (s->other < 0 ? power : (rs_real)1) / (1 + power);
     spread = rs_square(m->wave_gain * s->x[RS_TORQUE]);
     for (j = 0; j < RS_WAVES; j++) {
-        rs_real by = s->waves[j];
+        rs_real by = s->shown[j].seen;
         for (i = 0; i < j; i++)
-            by += s->known.u[i + 1][j + 1] * s->waves[i];
+            by += s->known.u[i + 1][j + 1] * s->shown[i].seen;
         spread += rs_square(m->torque_factor * by) * s->known.d[j + 1];
-        mean += m->torque_factor * s->waves[j] * s->known.mean[j + 1];
+        mean += m->torque_factor * s->shown[j].seen * s->known.mean[j + 1];
     }
     *variance = weight * (spread + (1 - weight) * mean * mean);
     ripple = c[RS_ORDER] * weight * mean;
@@ -1069,7 +1129,7 @@ static inline void rs_begin(struct rigtool_sensor *s)
     s->d[RS_NOISE] = rs_square(m->friction_noise);
     s->d[RS_SINE] = s->d[RS_COSINE] = rs_square(m->stroke);
     s->d[RS_LOAD] = rs_square(m->load_stroke);
-    s->direction = 1;
+    s->direction = s->stroke = 1;
     s->row_length = RS_ROW_STEPS;
     for (i = 0; i < RS_PARTS; i++) {
         s->known.mean[i] = i ? m->wave_mean[i - 1] : 0;
@@ -1079,6 +1139,7 @@ static inline void rs_begin(struct rigtool_sensor *s)
     s->plain_variance = m->row_untouched;
     s->level_variance[0] = s->level_variance[1] = m->row_contact;
     s->still_up = s->still_down = RS_STILL_STEPS;
+    rs_locate(s);
     rs_ahead(s);
     s->begun = 1;
 }
@@ -1137,6 +1198,7 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
         rs_predicted(s);
         rs_rebase(s, s->encoder);
         rs_update(s);
+        rs_locate(s);
         if (!rs_read(s)) {
             rigtool_sensor_init(s);
             return &s->reading;

@@ -17,7 +17,7 @@ import numpy as np
 from rigtool.experiments.deploy.c_header import comment
 from rigtool.experiments.force_filter import kalman, motion_states, passed
 from rigtool.experiments.force_model.drive import VISCOUS
-from rigtool.experiments.force_sensor import power_up
+from rigtool.experiments.force_sensor import power_up, shown_ripple
 from rigtool.experiments.force_sensor.sensor import AT_THE_LIMIT, SensorProperties
 from rigtool.numerics.arrays import Array
 
@@ -121,6 +121,7 @@ def _drive(instrument: SensorProperties) -> dict[str, Number]:
         "constant_slope": slope,
         "offset_current": model.drive.offset,
         "ripple_kept": math.exp(-grid.sample_time / model.drive.ripple_time),
+        "delay_kept": model.drive.delay_kept(grid.sample_time),
     }
 
 
@@ -164,11 +165,16 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
     model, step_time = instrument.model, instrument.grid.step_time
     own, drawn, gain = power_up.learned_ripple(model)
     uncertainty = model.uncertainty
-    size = model.plant(step_time).torque_factor * (uncertainty.stroke + uncertainty.friction_noise)
+    plant = model.plant(step_time)
+    size = plant.torque_factor * (uncertainty.stroke + uncertainty.friction_noise)
     row_time = power_up.row_steps(step_time) * step_time
     return {
         "wave_kept": math.exp(-step_time / model.learned.shape.ripple_time),
         "wave_gain": gain,
+        "wave_held": shown_ripple.LARGEST_SHOWN,
+        "wave_shown": 1 - math.exp(-step_time / shown_ripple.SHOWN_TIME),
+        "wave_slow": shown_ripple.HELD_LENGTHS * plant.presliding_angle / step_time,
+        "wave_turn": step_time / shown_ripple.turned_inertia(plant),
         "wave_mean": -own,
         "wave_variance": drawn,
         "wave_doubt": drawn * (power_up.WAVE_COUNT * row_time / power_up.FORGOTTEN),

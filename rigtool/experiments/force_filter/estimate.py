@@ -55,7 +55,7 @@ class Signals:
 @dataclass(frozen=True)
 class Estimate:
     """Estimate after each of m steps: all states (m, 12); the torque behind the low-pass, its
-    deviation, both N m, and the level of the torque's noise, (m, 3).
+    deviation, both N m, the level of the torque's noise, and gains, (m, 9).
 
     `low` (m,) rad is the count's edge after each, `kept` what the smoother needs of the steps,
     None where it was not asked for.
@@ -81,6 +81,11 @@ class Estimate:
     def deviation(self) -> Array:
         """Its standard deviation, (m,) N m."""
         return self.outputs[:, 1]
+
+    @property
+    def gains(self) -> Array:
+        """What a radian of the angle changed the states `kalman.FOLLOWED` by, (m, 6)."""
+        return self.outputs[:, kalman.FIRST_GAIN :]
 
 
 class Filter:
@@ -126,7 +131,7 @@ class Filter:
         self._waiting = _part(signals, count * size, None)
         kept = smoother.room(count, size) if keep else None
         low = np.ascontiguousarray(signals.low[size : count * size + 1 : size])
-        found = Estimate(np.empty((count, STATES)), np.empty((count, 3)), low, kept)
+        found = Estimate(np.empty((count, STATES)), np.empty((count, kalman.OUTPUTS)), low, kept)
         if self._state is None or not count:
             return found
         torque = signals.drive_torque[: count * size].reshape(count, size)
@@ -159,23 +164,38 @@ class Again:
         self._size = step_samples
         self._behind = max(1, round(ONSET_TIME / (step_samples * plant.sample_time)))
         self._signals: Signals | None = None
-        self._levels = np.empty(0)
+        self._levels = self._less = np.empty(0)
         self._begun = False
 
-    def add(self, signals: Signals, estimate: Estimate, *, last: bool = False) -> Estimate:
+    def add(
+        self,
+        signals: Signals,
+        estimate: Estimate,
+        *,
+        less: Array | None = None,
+        last: bool = False,
+    ) -> Estimate:
         """Take samples and the steps that they complete in the first filter; return the steps that
-        are far enough back, or all after the `last` ones, with what the smoother needs."""
+        are far enough back, or all after the `last` ones, with what the smoother needs.
+
+        `less` (m,) N m is taken off the drive torque in each step, nothing where it is None."""
         if self._signals is not None:
             signals = _joined(self._signals, signals)
         levels = np.concatenate([self._levels, estimate.outputs[:, 2]])
+        less = np.zeros(len(estimate.outputs)) if less is None else less
+        less = np.concatenate([self._less, less])
         behind = self._behind
         count = max(0, len(levels) - (0 if last else behind))
         end = count * self._size + (0 if self._begun or not count else 1)
         found = self._filter.add(
-            _part(signals, 0, end), keep=True, least=highest(levels, 0, behind)[:count]
+            _part(signals, 0, end),
+            keep=True,
+            less=less[:count],
+            least=highest(levels, 0, behind)[:count],
         )
         self._begun = self._begun or count > 0
         self._signals, self._levels = _part(signals, end, None), levels[count:]
+        self._less = less[count:]
         return found
 
 

@@ -55,6 +55,13 @@ SHORT, LONG = 6e-3, 0.1
 STEP_THRESHOLD, SLOW_THRESHOLD = 4e-3, 10e-3
 """Sums (standard deviations times s) from which on a step, or a slow change, is under way."""
 
+FOLLOWED = (ANGLE, SPEED, HOUSING, SINE, COSINE, TORQUE)
+"""States by which the torque follows a drive torque that is not known: `power_up`."""
+
+FIRST_GAIN = 3
+OUTPUTS = FIRST_GAIN + len(FOLLOWED)
+"""Columns of the outputs: the first gain, and how many there are."""
+
 SPARE_ROW = passed.JOINT_STATES * ROW_LENGTH
 """A row behind the joint covariance, to compute with."""
 
@@ -312,8 +319,9 @@ def run(
     """Filter m steps; `torque`, `viscous` (m, samples a step), `low` (m,) of the angle after each.
 
     `least` (m,) are the lowest levels of the torque's noise. `means` (m, 12) receive the states
-    after each step, `outputs` (m, 3) the torque behind `low_pass` (3, 3), its deviation, and the
-    level of noise that the next step has by itself; `steps`, where it is not None, what
+    after each step, `outputs` (m, 9) the torque behind `low_pass` (3, 3), its deviation, the
+    level of noise that the next step has by itself, and what a radian of the angle before the
+    update changes the states `FOLLOWED` by; `steps`, where it is not None, what
     `smoother.room` makes room for.
     """
     s, p, u = state[0], plant[0], uncertainty[0]
@@ -352,6 +360,8 @@ def run(
         mean, spread = passed.output(s.mean, s.passed, rows, low_pass, shared, 0)
         outputs[k, 0], outputs[k, 1] = mean, math.sqrt(max(spread, 0.0))
         outputs[k, 2] = _level(s)
+        for i in range(len(FOLLOWED)):
+            outputs[k, FIRST_GAIN + i] = informed * gain[FOLLOWED[i]]
         if steps is not None:
             derivative, fresh, correction, weight, variance, gains, torque_row, passed_row = steps
             for i in range(samples):

@@ -1,7 +1,8 @@
 """Torque at the shaft from current and rotor angle: the input of a filter over motor and tendon.
 
-    T = kT (i + i0) - offset - cogging - lag(kT-ripple),   b = drag by rotor angle
+    T = late(kT (i + i0)) - offset - cogging - lag(kT-ripple),   b = drag by rotor angle
 
+late() being a lag of first order by the learned delay of the current, and the rest being
 from the terms of `model` that look at the rotor's angle alone; they hardly change within a count,
 so the encoder's angle is good enough for them.
 """
@@ -23,6 +24,9 @@ MAP_SIZE = 2048
 """Points of a turn: orders up to 12 are interpolated between them within 1e-5."""
 
 COGGING, RIPPLE, GAIN, SQUARE, VISCOUS = range(5)
+LARGEST_LEAD = 1 / 3
+"""Of a sample, by which torque may lead its current: more would ring."""
+
 _COLUMNS = {
     Kind.OFFSET: COGGING,
     Kind.COGGING: COGGING,
@@ -36,11 +40,19 @@ _COLUMNS = {
 @dataclass(frozen=True, eq=False)
 class MotorMap:
     """By rotor angle, tabulated over one turn (n + 1, 5): cogging and ripple in N m, ripple per
-    torque and per torque and ampere, drag in N m s/rad. `ripple_time` s is the ripple's lag."""
+    torque and per torque and ampere, drag in N m s/rad. `ripple_time` s is the ripple's lag,
+    `delay` s the current's."""
 
     rotor_map: Array
     ripple_time: float
     offset: float
+    delay: float = 0.0
+
+    def delay_kept(self, sample_time: float) -> float:
+        """Return what a sample of `sample_time` s keeps of the torque before it, so that torque is
+        late by the delay. A delay below zero, as noise may have it, gives a lead."""
+        late = max(self.delay, -LARGEST_LEAD * sample_time)
+        return late / (late + sample_time)
 
     def torque(
         self,
@@ -48,12 +60,12 @@ class MotorMap:
         current: Array,
         torque_constant: Array | float,
         sample_time: float,
-        ripple: Array | None = None,
+        lagging: Array | None = None,
     ) -> tuple[Array, Array]:
         """Return torque N m and drag N m s/rad (n,) at angles rad under currents A.
 
-        `ripple` (1,) N m is what the lagging ripple was before, 0 where it is not given, and is
-        changed into what it is afterwards.
+        `lagging` (2,) N m are what the lagging ripple and torque were before, 0 where they are not
+        given, and are changed into what they are afterwards.
         """
         torque, viscous = np.empty(angle.size), np.empty(angle.size)
         _drive(
@@ -62,7 +74,8 @@ class MotorMap:
             current,
             self.rotor_map,
             1.0 - math.exp(-sample_time / self.ripple_time),
-            np.zeros(1) if ripple is None else ripple,
+            self.delay_kept(sample_time),
+            np.zeros(2) if lagging is None else lagging,
             torque,
             viscous,
         )
@@ -86,13 +99,14 @@ def _drive(
     current: Array,
     rotor_map: Array,
     step: float,
+    kept: float,
     lagging: Array,
     torque: Array,
     viscous: Array,
 ) -> None:
     size = rotor_map.shape[0] - 1
     scale = size / (2.0 * math.pi)
-    ripple = lagging[0]
+    ripple, late = lagging
     here = np.empty(5)
     for k in range(angle.size):
         place = angle[k] * scale
@@ -103,15 +117,21 @@ def _drive(
             here[j] = rotor_map[cell, j] + part * (rotor_map[cell + 1, j] - rotor_map[cell, j])
         raw = here[1] + plain[k] * (here[2] + abs(current[k]) * here[3])
         ripple += step * (raw - ripple)
-        torque[k] = plain[k] - here[0] - ripple
+        late += (1.0 - kept) * (plain[k] - late)
+        torque[k] = late - here[0] - ripple
         viscous[k] = here[4]
-    lagging[0] = ripple
+    lagging[0], lagging[1] = ripple, late
 
 
 def drive_of(model: LearnedModel) -> MotorMap:
     """Return the drive of a learned model."""
     rotor_map = tabulated(model.terms, model.coefficient)
-    return MotorMap(rotor_map, model.shape.ripple_time, model.known.offset)
+    delay = sum(
+        float(value)
+        for term, value in zip(model.terms, model.coefficient, strict=True)
+        if term.kind is Kind.DELAY
+    )
+    return MotorMap(rotor_map, model.shape.ripple_time, model.known.offset, delay)
 
 
 def plant_of(model: LearnedModel, sample_time: float) -> Plant:

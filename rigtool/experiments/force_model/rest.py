@@ -43,7 +43,7 @@ BY_REST = Shown(
     ("tip_length", "stribeck_speed"),
     (Kind.BEARING, Kind.STRIBECK, Kind.BEARING_DAMPING, Kind.HOUSING, Kind.HOUSING_SIDED),
 )
-BY_TURNS = Shown(("grasper_inertia",), (Kind.INERTIA,))
+BY_TURNS = Shown(("grasper_inertia",), (Kind.INERTIA, Kind.DELAY))
 """What rest and reversals determine, and what the turns of fast strokes do."""
 
 CORNER_HZ = 10.0

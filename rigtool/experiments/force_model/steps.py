@@ -128,7 +128,7 @@ class Sampler:
     ) -> None:
         self._grid, self._count, self._drive = grid, count, drive
         self._context = context - context % grid.averaged
-        self._ripple = np.zeros(1)
+        self._lagging = np.zeros(2)
         self._held: Array | None = None
         self._before = 0  # of the held ones: context alone
 
@@ -149,7 +149,7 @@ class Sampler:
             known = np.hstack([known[:, :1], known])
         current, constant, *others = (grid.means(row) for row in known)
         torque, viscous = self._drive.torque(
-            low + self._count / 2, current, constant, grid.sample_time, self._ripple
+            low + self._count / 2, current, constant, grid.sample_time, self._lagging
         )
         self._before = min(max(self._context, grid.averaged), end)
         self._held = held[:, end - self._before :].copy()

@@ -37,10 +37,12 @@ from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter import passed
 from rigtool.experiments.force_filter.motion_states import SLIDING_DEFLECTION
-from rigtool.experiments.force_filter.plant import HOUSING, SPEED, TORQUE, Record
+from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, TORQUE, Record
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS
 from rigtool.experiments.force_model.model import RIPPLE_ORDERS, Kind
+from rigtool.experiments.force_sensor import shown_ripple
+from rigtool.experiments.force_sensor.shown_ripple import show
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
 
@@ -87,6 +89,8 @@ LARGEST_RIPPLE_RATIO = 3.0
 
 PARAMETERS = np.dtype(
     [(name, "f8") for name in ("lag", "factor", "gain", "steps", "time", "size", "late")]
+    + [(name, "f8") for name in ("step_time", "inertia", "friction", "length", "slow", "shown")]
+    + [(name, "f8") for name in ("load_friction", "onset")]
 )
 
 WAVE_COUNT = 2 * len(RIPPLE_ORDERS)
@@ -94,6 +98,14 @@ WAVE_COUNT = 2 * len(RIPPLE_ORDERS)
 STATE = np.dtype(
     [
         ("waves", "f8", (WAVE_COUNT,)),
+        # as the filter's torque shows them, and what its other states `FOLLOWED` are then off by
+        ("seen", "f8", (WAVE_COUNT,)),
+        ("angle", "f8", (WAVE_COUNT,)),
+        ("speed", "f8", (WAVE_COUNT,)),
+        ("housing", "f8", (WAVE_COUNT,)),
+        ("sine", "f8", (WAVE_COUNT,)),
+        ("cosine", "f8", (WAVE_COUNT,)),
+        ("direction", "f8"),
         # the row that is being filled, how many steps it has, and how many there are, and slide
         ("row", "f8", (WAVE_COUNT + 1,)),
         ("length", "f8"),
@@ -136,17 +148,23 @@ class PowerUp:
         # ripple that grows with the current is in the variance alone
         own, drawn, gain = learned_ripple(model)
         size = model.uncertainty.stroke + model.uncertainty.friction_noise
-        factor = model.plant(step_time).torque_factor
+        plant = model.plant(step_time)
+        factor = plant.torque_factor
+        inertia = shown_ripple.turned_inertia(plant)
         steps = row_steps(step_time)
         lag = 1 - math.exp(-step_time / model.learned.shape.ripple_time)
         time, late = steps * step_time, late_rows(step_time)
-        self._parameters = np.array(
-            [(lag, factor, gain, steps, time, factor * size, late)], dtype=PARAMETERS
-        )
+        housing = plant.housing_friction, plant.housing_presliding_angle
+        slow = shown_ripple.HELD_LENGTHS * plant.presliding_angle / step_time
+        shown = 1 - math.exp(-step_time / shown_ripple.SHOWN_TIME)
+        numbers = lag, factor, gain, steps, time, factor * size, late, step_time, inertia
+        load = plant.load_friction, plant.load_friction_onset
+        self._parameters = np.array([(*numbers, *housing, slow, shown, *load)], dtype=PARAMETERS)
         self._state = np.zeros(1, dtype=STATE)
         self._state["length"] = steps
         self._state["mean"][0, :-1] = -own
         self._state["learned"][0] = own
+        self._state["direction"] = 1.0
         self._state["drawn"][0] = drawn
         variances = np.append(drawn, (factor * size) ** 2)
         self._state["covariance"][0] = np.diag(variances)
@@ -162,14 +180,17 @@ class PowerUp:
         other: float = self._state["other"][0]
         return 1 / (1 + math.exp(-other))
 
-    def add(self, angle: Array, states: Array) -> tuple[Array, Array, Array]:
+    def add(self, angle: Array, states: Array, gains: Array) -> tuple[Array, Array, Array]:
         """Return them from these steps and those before, torque behind the low-pass (m,).
 
-        `angle` (m,) rad is the rotor's, `states` (m, 12) those of the causal filter.
+        `angle` (m,) rad is the rotor's, `states` (m, 12) those of the causal filter, `gains` (m, 6)
+        its `Estimate.gains`.
         """
         way = np.sign(states[:, SPEED])
         sliding = states[:, HOUSING] * way >= SLIDING_DEFLECTION
-        return self._followed(self._state, angle, states[:, TORQUE], sliding)
+        moving = states[:, [GRASPER, SPEED, HOUSING]]
+        follows = np.column_stack([gains, moving])
+        return self._followed(self._state, angle, states[:, TORQUE], sliding, follows)
 
     def whole(self, angle: Array, torque: Array) -> tuple[Array, Array, Array]:
         """Return them from all that was added, at its steps again: (m,) not low-passed.
@@ -182,14 +203,20 @@ class PowerUp:
         """Return `whole` for a recording that is given piece by piece."""
         state = self._state.copy()
         state["waves"] = 0.0
-        return lambda angle, torque: self._followed(state, angle, torque, np.zeros(0, np.bool_))
+        none = np.zeros(0, np.bool_), np.zeros((0, 0))
+        return lambda angle, torque: self._followed(state, angle, torque, *none)
 
     def _followed(
-        self, state: NDArray[np.void], angle: Array, torque: Array, sliding: NDArray[np.bool_]
+        self,
+        state: NDArray[np.void],
+        angle: Array,
+        torque: Array,
+        sliding: NDArray[np.bool_],
+        follows: Array,
     ) -> tuple[Array, Array, Array]:
         found = np.empty((3, len(angle)))
         torque = np.ascontiguousarray(torque)
-        _follow(state, self._parameters, self._low_pass, angle, torque, sliding, found)
+        _follow(state, self._parameters, self._low_pass, angle, torque, sliding, follows, found)
         ripple, variance, less = found
         return ripple, variance, less
 
@@ -230,6 +257,7 @@ def _follow(
     angle: Array,
     torque: Array,
     sliding: NDArray[np.bool_],
+    follows: Array,
     found: Array,
 ) -> None:
     """Advance by m steps; `found` (3, m) receives ripple, variance and drive torque.
@@ -246,25 +274,28 @@ def _follow(
             waves[j + 1] += p.lag * (high - waves[j + 1])
             high, wide = high * cosine + wide * sine, wide * cosine - high * sine
         if sliding.shape[0]:
+            show(s, p, follows[k], torque[k])
             for j in range(WAVE_COUNT):
-                s.row[j] += p.factor * waves[j] / s.length
+                s.row[j] += p.factor * s.seen[j] / s.length
             s.row[WAVE_COUNT] += torque[k] / s.length
             s.slid += 1.0 if sliding[k] else 0.0
             s.filled += 1.0
             if s.filled >= s.length:
                 _read(s, p)
         weight = 1.0 / (1.0 + math.exp(-s.other))
-        mean, variance = 0.0, 0.0
+        shown = s.seen if sliding.shape[0] else waves
+        mean, variance, less = 0.0, 0.0, 0.0
         for i in range(WAVE_COUNT):
-            mean += p.factor * waves[i] * s.mean[i]
-            total = 0.5 * s.covariance[i, i] * waves[i]
+            mean += p.factor * shown[i] * s.mean[i]
+            less += waves[i] * s.mean[i]
+            total = 0.5 * s.covariance[i, i] * shown[i]
             for j in range(i):
-                total += s.covariance[i, j] * waves[j]
-            variance += 2.0 * waves[i] * total
+                total += s.covariance[i, j] * shown[j]
+            variance += 2.0 * shown[i] * total
         variance = p.factor**2 * variance + (p.gain * torque[k]) ** 2
         found[0, k] = weight * mean
         found[1, k] = weight * variance + weight * (1.0 - weight) * mean * mean
-        found[2, k] = weight * mean / p.factor
+        found[2, k] = weight * less
         if sliding.shape[0]:
             first, second = s.passed
             found[0, k] = low_pass[2, 0] * first + low_pass[2, 1] * second

@@ -238,6 +238,7 @@ class Stretch:
         angle = estimate.low + self._instrument.count / 2
         self._keep("angle", np.remainder(angle, 2 * math.pi))
         self._keep("passed", angle[rows])
+        self._keep("less", sensed.less)
         self._keep("causal", sensed.torque[rows])
         self._keep("causal_u", sensed.u[rows])
         self._keep("causal_states", sensed.states[rows])
@@ -272,7 +273,7 @@ class Stretch:
 
     def _smooth(self, sensed: Sensed, last: bool) -> None:
         """Smooth the steps that wait the longest."""
-        kept = self._again.add(sensed.signals, sensed.estimate, last=last)
+        kept = self._again.add(sensed.signals, sensed.estimate, less=sensed.less, last=last)
         self._judged(*self._smoother.add(kept))
         if last:
             self._judged(*self._smoother.finish())
@@ -372,12 +373,13 @@ class Stretch:
         """Return the torque (m,) less what this power-up's ripple adds; u and that ripple of its
         rows. All N m."""
         instrument, every = self._instrument, self._every
-        torque, angle = self._taken("torque"), self._taken("angle")
+        torque, angle, less = (self._taken(name) for name in ("torque", "angle", "less"))
+        factor = instrument.model.plant(instrument.grid.sample_time).torque_factor
         again, added, variances = self._sensor.power_up.again(), [], []
         for first in range(0, len(torque), PIECE_STEPS):
             part = slice(first, first + PIECE_STEPS)
             ripple, variance, _ = again(angle[part].astype(np.float64), torque[part])
-            torque[part] -= ripple
+            torque[part] -= ripple - factor * less[part]
             added.append(ripple[-first % every :: every])
             variances.append(variance[-first % every :: every])
         corner_hz, step_time = instrument.corner_hz, instrument.grid.step_time
@@ -429,6 +431,7 @@ ESTIMATED_TYPES = {
     "reference": np.float64,
     "angle": np.float32,
     "passed": np.float64,
+    "less": np.float32,
     "untouched": np.float32,
     "untouched_u": np.float32,
     "doubt": np.float32,

@@ -130,7 +130,7 @@ class Sensor:
         estimate = self._filter.add(signals)
         found = self._stepper.add(riding)
         angle = estimate.low + self._instrument.count / 2
-        ripple, variance, less = self.power_up.add(angle, estimate.states)
+        ripple, variance, less = self.power_up.add(angle, estimate.states, estimate.gains)
         torque = estimate.passed - ripple
         moments = Moments(
             estimate.low,

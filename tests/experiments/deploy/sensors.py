@@ -50,7 +50,7 @@ ROTOR = np.stack(
 )
 
 
-DRIVE = MotorMap(ROTOR, 0.05, 2e-3)
+DRIVE = MotorMap(ROTOR, 0.05, 2e-3, 1e-4)
 RIPPLE = {1: 5e-4, 2: 3e-4, 3: 1e-4, 6: 2e-4}
 LEARNED = SimpleNamespace(
     terms=[Term(Kind.RIPPLE, 1e-3, order, order % 2) for order in RIPPLE],

@@ -19,6 +19,7 @@ from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS, Learned
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
 from rigtool.experiments.force_model.rest import (
     BY_REST,
+    BY_TURNS,
     Exploration,
     RestProblem,
     held,
@@ -38,6 +39,7 @@ FRICTIONS = {
     Kind.HOUSING_SIDED: (0.3e-3, 0.3e-3),
     Kind.LOAD_FRICTION: (0.1, 1e-3),
     Kind.INERTIA: (0.0, 8e-7),
+    Kind.DELAY: (0.0, 1e-8),
 }
 """Coefficient of each, and how well sliding shows it."""
 
@@ -162,3 +164,26 @@ def test_turns_of_fast_strokes_show_the_inertia():
     assert found.covariance[inertia, inertia] < truth.covariance[inertia, inertia] / 4
     brief = learn_turns(wrong, replace(strokes, deviation_time=0.1), untouched, 1e-3)
     assert brief.covariance[inertia, inertia] < 0.8 * found.covariance[inertia, inertia]
+
+
+def test_turns_of_fast_strokes_show_that_torque_is_late():
+    truth, late = replace(model(), length_u=np.full(2, 0.1)), 2 * STEP
+    delay = list(FRICTIONS).index(Kind.DELAY)
+    covariance = truth.covariance.copy()
+    place = len(SLIDING_PARAMETERS) + delay
+    covariance[place, place] = (0.2e-3) ** 2
+    unsure = replace(truth, covariance=covariance)
+    strokes = explored(truth, seconds=4.0, period=0.2, sizes=(1.5, 1.5))
+    early = replace(strokes, current=np.roll(strokes.current, -round(late / STEP)))
+    rate = UNCERTAINTY.torque_rate
+    untouched = replace(UNCERTAINTY, slow_torque_rate=rate, step_torque_rate=rate)
+    found = learn_turns(unsure, early, untouched, 1e-3)
+    assert late / 3 < found.coefficient[delay] < 4 / 3 * late
+    assert found.covariance[place, place] < covariance[place, place] / 2
+    before, after = (
+        np.sqrt(np.mean(problem.errors(problem.start) ** 2))
+        for problem in (
+            RestProblem(one, early, untouched, 1e-3, BY_TURNS) for one in (unsure, found)
+        )
+    )
+    assert after < before / 2
