@@ -182,6 +182,18 @@ static inline rs_real rs_square(rs_real value)
     return value * value;
 }
 
+/* A value within +-limit; the C library's functions test for NaN first. */
+static inline rs_real rs_within(rs_real value, rs_real limit)
+{
+    return value > limit ? limit : value < -limit ? -limit : value;
+}
+
+/* isfinite without a call of the C library. */
+static inline int rs_finite(rs_real value)
+{
+    return value - value >= 0;
+}
+
 /* -- the drive ------------------------------------------------------------------------------- */
 
 /* Place in a map of one turn, from turns between -1000 and 1000: the cell, and the part of it. */
@@ -924,14 +936,15 @@ static inline void rs_show(struct rigtool_sensor *s)
     const int held = RS_MATH(fabs)(speed) < m->wave_slow;
     const int begins = bristle * s->stroke < (rs_real)-0.5;
     int j;
-    if (begins)
+    if (begins) {
         s->stroke = bristle > 0 ? (rs_real)1 : (rs_real)-1;
+        for (j = 0; j < RS_WAVES; j++)
+            s->shown[j].sine = s->shown[j].cosine = 0;
+    }
     for (j = 0; j < RS_WAVES; j++) {
         struct rs_shown *w = &s->shown[j];
         const rs_real before = w->seen;
         rs_real torque, off;
-        if (begins)
-            w->sine = w->cosine = 0;
         torque = carried * w->seen + by_sine * w->sine + by_cosine * w->cosine - s->waves[j]
             - m->housing_friction * w->housing;
         w->housing = left * w->housing + bent * w->speed;
@@ -956,12 +969,12 @@ static inline void rs_show(struct rigtool_sensor *s)
 static inline void rs_row(struct rigtool_sensor *s)
 {
     const struct rs_model *m = &rs_model;
-    const rs_real share = (rs_real)1 / (rs_real)s->row_length;
+    const rs_real share = (rs_real)1 / (rs_real)s->row_length, felt = m->torque_factor * share;
     const rs_real direction = (rs_real)((s->x[RS_SPEED] > 0) - (s->x[RS_SPEED] < 0));
     int j;
     s->row[0] += s->x[RS_TORQUE] * share;
     for (j = 0; j < RS_WAVES; j++)
-        s->row[j + 1] += m->torque_factor * s->shown[j].seen * share;
+        s->row[j + 1] += felt * s->shown[j].seen;
     s->row_slid += s->x[RS_HOUSING] * direction >= m->sliding;
     if (++s->row_steps < s->row_length)
         return;
@@ -1078,7 +1091,7 @@ static inline int rs_read(struct rigtool_sensor *s)
     }
     torque -= rs_rippled(s, &other);
     variance = variance > 0 ? variance : 0;
-    if (!isfinite(torque + variance + other))
+    if (!rs_finite(torque + variance + other))
         return 0;
     now->fresh = 1;
     now->state = rs_state(s, torque);
@@ -1169,7 +1182,7 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
     rs_real torque, viscous;
     int limited = RS_MATH(fabs)(sample.current) >= rs_model.current_limit;
     s->reading.fresh = 0;
-    if (!isfinite(sample.current + sample.temperature)) {
+    if (!rs_finite(sample.current + sample.temperature)) {
         rigtool_sensor_init(s);
         return &s->reading;
     }
@@ -1179,8 +1192,7 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
         s->current = s->temperature = 0;
         s->limited = 0;
     }
-    sample.current = RS_MATH(fmax)(
-        -rs_model.largest_current, RS_MATH(fmin)(sample.current, rs_model.largest_current));
+    sample.current = rs_within(sample.current, rs_model.largest_current);
     if (RS_AVERAGED % 2)
         rs_earlier(s, &sample, &limited);
     s->current += sample.current;
