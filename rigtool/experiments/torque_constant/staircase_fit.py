@@ -9,11 +9,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.hypotheses import weigh_hypotheses
-from rigtool.experiments.torque_constant.staircase import LEVEL_TOLERANCE, Plateaus
+from rigtool.experiments.torque_constant.staircase import Plateaus
+from rigtool.experiments.torque_constant.staircase_levels import (
+    branches,
+    hysteresis,
+    lines_through,
+    straight_slope,
+)
 from rigtool.experiments.torque_constant.staircase_model import (
     Common,
     Stairs,
@@ -22,33 +26,19 @@ from rigtool.experiments.torque_constant.staircase_model import (
     mean_of,
     winding,
 )
+from rigtool.experiments.torque_constant.staircase_refusals import (
+    require_resolution,
+    require_straight,
+)
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.residual_covariance import independent_samples, long_run_covariance
 from rigtool.numerics.turn_mean import mean_over_turn
 
-MISFIT_LIMIT = 5e-3
-"""Largest deviation of a level from the model, relative to the span of the torque."""
-
-SLOPE_LIMIT = 0.25
-"""Largest relative change of a straight line's slope by friction and heat."""
-
 SAME_TEMPERATURE = 2.0
 """Range of staircases that count as one temperature, K."""
 
-LEAST_RISE, FEWEST_TOP_LEVELS = 0.5, 2
-"""Slope of the top quarter of a staircase relative to its middle, and levels that show it."""
-
-SURE = 4.0
-"""Standard uncertainties by which a slope must be off to be refused."""
-
-LARGE_FRICTION = 0.03
-"""Friction, relative to the span of the torque, that may change a slope by `SLOPE_LIMIT`."""
-
 GAUGE_PHASES = 12
 """Places of the gauge's zero within one of its steps that are tried."""
-
-FEWEST_STEPS, CLEAR_STEPS = 10, 40
-"""Steps of the gauge in the span of the torque: fewest, and enough to show friction."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +98,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     Raises `InsufficientDataError` where a staircase does not rise and fall, or where torque does
     not follow current.
     """
-    _require_resolution(plateaus)
+    require_resolution(plateaus)
     stairs = arrange(plateaus)
     rise = mean_of(stairs.temperature, stairs.weight)
     rise = rise - rise.mean()
@@ -119,12 +109,12 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     stairs = hypotheses.stairs
     solution = _solve(stairs, hypotheses.best, coefficient, rise)
     constant = hypotheses.constant
-    share = abs(_straight_slope(stairs) / constant - 1 + solution.heating)
+    share = abs(straight_slope(stairs) / constant - 1 + solution.heating)
     u, dof = _lack_of_fit(stairs, solution, average)
     trend_u, _ = _lack_of_fit(stairs, solution, trend)
-    _require_straight(stairs, solution)
-    level, rising, falling = _branches(stairs, solution.off_line)
-    hysteresis, hysteresis_u, hysteresis_dof = _hysteresis(stairs, solution.off_line)
+    require_straight(stairs, solution.slope, solution.u, solution.fit.residual, solution.off_line)
+    level, rising, falling = branches(stairs, solution.off_line)
+    difference, hysteresis_u, hysteresis_dof = hysteresis(stairs, solution.off_line)
     return Slopes(
         # Single staircases differ from their mean; what the mean is, all hypotheses say.
         slope=solution.slope + (constant - float(np.mean(solution.slope))),
@@ -152,7 +142,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         level=level,
         rising=rising,
         falling=falling,
-        hysteresis=hysteresis,
+        hysteresis=difference,
         hysteresis_u=hysteresis_u,
         hysteresis_dof=hysteresis_dof,
     )
@@ -164,15 +154,8 @@ def _about(stairs: Stairs) -> float:
     degc = mean_of(stairs.temperature, stairs.weight)
     if np.ptp(degc) <= SAME_TEMPERATURE:
         return 0.0
-    slope, middle = np.polyfit(degc - degc.mean(), _lines(stairs), 1).tolist()
+    slope, middle = np.polyfit(degc - degc.mean(), lines_through(stairs), 1).tolist()
     return float(slope / middle)
-
-
-def _lines(stairs: Stairs) -> Array:
-    """Return the slope of a straight line through each staircase (m,), N m/A."""
-    off = (stairs.current - mean_of(stairs.current, stairs.weight)[:, None]) * stairs.weight
-    lines: Array = np.sum(off * stairs.torque, axis=1) / np.sum(off**2, axis=1)
-    return lines
 
 
 @dataclass(frozen=True)
@@ -333,162 +316,3 @@ def _rounding(stairs: Stairs, solution: _Solution, weight: Array) -> float:
             error += (-1) ** k * left / k * np.sin(2 * np.pi * k * (fitted / q + phase))
         errors.append(float(np.sum(response * error)) * q / math.pi)
     return float(np.sqrt(np.mean(np.square(errors))))
-
-
-def _require_resolution(plateaus: Plateaus) -> None:
-    """Raise where the gauge is too coarse for the torque of a staircase."""
-    span, step = float(np.ptp(plateaus.torque)), float(plateaus.resolution.max())
-    if span == 0:
-        raise InsufficientDataError(
-            f"the gauge reads {float(plateaus.torque[0]) * 1e3:.3g} mN m at the arm whatever the "
-            "current: it is not connected, is saturated, does not touch the arm, or reads in steps "
-            "larger than all torque of the staircase; look at the gauge, or take a finer one"
-        )
-    if step * FEWEST_STEPS > span:
-        raise InsufficientDataError(
-            f"the gauge reads in steps of {step * 1e3:.3g} mN m at the arm, the staircase has "
-            f"{span * 1e3:.3g} mN m: fewer than {FEWEST_STEPS} steps; take a finer gauge, a "
-            "shorter arm or a higher current_max"
-        )
-
-
-def _levels(stairs: Stairs) -> tuple[Array, NDArray[np.int_]]:
-    """Return the levels of current (l,) in A and the level of each plateau (m, p)."""
-    tolerance = 2 * LEVEL_TOLERANCE * float(np.ptp(stairs.setpoint))
-    number = np.round(stairs.setpoint / tolerance).astype(np.int64)
-    known, level = np.unique(number.ravel(), return_inverse=True)
-    return np.asarray(known * tolerance), level.reshape(number.shape).astype(np.int_)
-
-
-def _by_level(level: NDArray[np.int_], values: Array, weight: Array) -> tuple[Array, Array]:
-    """Return the weighted mean of values at each level (NaN without any), and the weights' sum."""
-    size = int(level.max()) + 1
-    count = np.bincount(level.ravel(), weights=weight.ravel(), minlength=size)
-    total = np.bincount(level.ravel(), weights=(values * weight).ravel(), minlength=size)
-    mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-    return mean, np.asarray(count, dtype=np.float64)
-
-
-def _require_straight(stairs: Stairs, solution: _Solution) -> None:
-    """Raise where torque, without friction and heat, is not a straight line over current."""
-    straight = _straight_slope(stairs)
-    if straight < 0:
-        raise InsufficientDataError(
-            f"torque changes by {straight:.3g} N m/A with current: reverse the sign of the "
-            "gauge or of the current, so that positive current gives positive force"
-        )
-    _require_alike(stairs, solution)
-    current, level = _levels(stairs)
-    residual = solution.fit.residual
-    mean, count = _by_level(level, residual, stairs.weight)
-    square, _ = _by_level(level, residual**2, stairs.weight)
-    u = np.sqrt(np.maximum(square - mean**2, 0) / np.maximum(count - 1, 1))
-    _require_rise_to_top(stairs, u)
-    change = abs(float(np.mean(solution.slope)) / straight - 1)
-    if change > SLOPE_LIMIT:
-        raise InsufficientDataError(
-            f"torque follows current by {straight:.3g} N m/A on the whole, but by "
-            f"{np.mean(solution.slope):.3g} N m/A once friction and heat are taken out; they may "
-            f"change it by {SLOPE_LIMIT:.0%}: {_too_much(stairs, solution)}"
-        )
-    limit = max(MISFIT_LIMIT * float(np.ptp(stairs.torque)), stairs.resolution)
-    worst = int(np.argmax(np.abs(mean)))
-    if abs(mean[worst]) > max(limit, 4 * u[worst]):
-        raise InsufficientDataError(
-            f"torque at {current[worst]:.3g} A is {mean[worst] * 1e3:.3g} mN m off the line "
-            f"through all currents, limit {limit * 1e3:.3g} mN m: gauge, amplifier or motor is not "
-            "linear there; lower current_max or look for an end stop"
-        )
-
-
-def _require_alike(stairs: Stairs, solution: _Solution) -> None:
-    """Raise where a staircase has a slope of its own: temperature and ripple change it by less."""
-    lines = _lines(stairs)
-    usual = float(np.median(lines))
-    off = np.abs(lines - usual)
-    worst = int(np.argmax(off - SURE * solution.u))
-    if off[worst] > SLOPE_LIMIT * abs(usual) + SURE * solution.u[worst]:
-        raise InsufficientDataError(
-            f"staircase {worst} (of {len(lines)}, from 0) at {stairs.rotor_angle[worst]:.3g} rad, "
-            f"{stairs.temperature[worst, 0]:.3g} degC: torque follows current by "
-            f"{lines[worst]:.3g} N m/A, by {usual:.3g} in the middle of all; they may differ by "
-            f"{SLOPE_LIMIT:.0%}: see to the gauge's cable and the arm's clamp, and measure again"
-        )
-
-
-def _require_rise_to_top(stairs: Stairs, level_u: Array) -> None:
-    """Raise where the torque of rising staircases stops rising with the current.
-
-    Friction makes it flat after each turn of the current, thus at the bottom. `level_u` (l,) is the
-    standard uncertainty of the torque at each level, N m.
-    """
-    current, torque, _ = _branches(stairs, stairs.torque)
-    quarter = len(current) // 4
-    if quarter < FEWEST_TOP_LEVELS:
-        return
-    below, top = slice(quarter, -quarter), slice(-quarter - 1, None)
-    usual, last = (float(np.polyfit(current[a], torque[a], 1)[0]) for a in (below, top))
-    spread = float(np.var(current[top])) * (quarter + 1)
-    u = math.sqrt(float(np.mean(level_u**2)) / spread)
-    if last < LEAST_RISE * usual - SURE * u:
-        raise InsufficientDataError(
-            f"torque rises with current by {usual:.3g} N m/A, from "
-            f"{current[-quarter - 1]:.3g} A on by {last:.3g} N m/A, at least {LEAST_RISE:.0%} of "
-            "that is needed: the gauge is saturated, the arm at an end stop, or the amplifier at "
-            "its limit; lower current_max"
-        )
-
-
-def _too_much(stairs: Stairs, solution: _Solution) -> str:
-    """Return why friction and heat may seem to change a slope by too much, and the remedy."""
-    span = float(np.ptp(stairs.torque))
-    if stairs.resolution * CLEAR_STEPS > span:
-        return (
-            f"the gauge reads in steps of {stairs.resolution * 1e3:.3g} mN m at the arm, too "
-            f"coarse to separate friction from torque in a staircase of {span * 1e3:.3g} mN m; "
-            "take a finer gauge, a shorter arm or a higher current_max"
-        )
-    friction = _hysteresis(stairs, solution.off_line)[0] / 2
-    if friction > LARGE_FRICTION * span:
-        return (
-            f"friction of the shaft shows {friction * 1e3:.3g} mN m in a staircase of "
-            f"{span * 1e3:.3g} mN m, too much to be taken out; raise current_max"
-        )
-    return (
-        "torque is not linear in current; look for an end stop or a saturated gauge, or raise "
-        "current_max"
-    )
-
-
-def _straight_slope(stairs: Stairs) -> float:
-    """Return the slope of one straight line through all plateaus, N m/A."""
-    used = stairs.weight > 0
-    return float(np.polyfit(stairs.current[used], stairs.torque[used], 1)[0])
-
-
-def _branches(stairs: Stairs, off_line: Array) -> tuple[Array, Array, Array]:
-    """Return levels of current and the mean torque off the line on either branch, (l,)."""
-    current, level = _levels(stairs)
-    step = np.diff(stairs.setpoint, axis=1, prepend=np.nan)
-    rising, _ = _by_level(level, off_line, stairs.weight * (step > 0))
-    falling, _ = _by_level(level, off_line, stairs.weight * (step < 0))
-    # Both branches meet where the current turns.
-    rising = np.where(np.isnan(rising), falling, rising)
-    return current, rising, np.where(np.isnan(falling), rising, falling)
-
-
-def _hysteresis(stairs: Stairs, off_line: Array) -> tuple[float, float, int]:
-    """Return falling minus rising in the middle third of the span, N m, and its uncertainty."""
-    low, high = stairs.setpoint.min(), stairs.setpoint.max()
-    middle = stairs.weight * (np.abs(stairs.setpoint - (low + high) / 2) <= (high - low) / 5.9)
-    step = np.diff(stairs.setpoint, axis=1, prepend=np.nan)
-    up, down = middle * (step > 0), middle * (step < 0)
-    usable = (up.sum(axis=1) > 0) & (down.sum(axis=1) > 0)
-    if not usable.any():
-        raise InsufficientDataError(
-            "no plateau lies in the middle third of the current's span: use more steps"
-        )
-    difference = (mean_of(off_line[usable], down[usable])) - mean_of(off_line[usable], up[usable])
-    count = len(difference)
-    u = float(np.std(difference, ddof=1)) / math.sqrt(count) if count > 1 else math.nan
-    return float(np.mean(difference)), u, count - 1

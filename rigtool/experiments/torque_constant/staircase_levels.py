@@ -1,0 +1,74 @@
+"""Straight lines, levels and branches of staircases, without a model of friction [7.1.1]."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.torque_constant.staircase import LEVEL_TOLERANCE
+from rigtool.experiments.torque_constant.staircase_model import Stairs, mean_of
+from rigtool.numerics.arrays import Array
+
+
+def lines_through(stairs: Stairs) -> Array:
+    """Return the slope of a straight line through each staircase (m,), N m/A."""
+    off = (stairs.current - mean_of(stairs.current, stairs.weight)[:, None]) * stairs.weight
+    lines: Array = np.sum(off * stairs.torque, axis=1) / np.sum(off**2, axis=1)
+    return lines
+
+
+def straight_slope(stairs: Stairs) -> float:
+    """Return the slope of one straight line through all plateaus, N m/A."""
+    used = stairs.weight > 0
+    return float(np.polyfit(stairs.current[used], stairs.torque[used], 1)[0])
+
+
+def levels(stairs: Stairs) -> tuple[Array, NDArray[np.int_]]:
+    """Return the levels of current (l,) in A and the level of each plateau (m, p)."""
+    tolerance = 2 * LEVEL_TOLERANCE * float(np.ptp(stairs.setpoint))
+    number = np.round(stairs.setpoint / tolerance).astype(np.int64)
+    known, level = np.unique(number.ravel(), return_inverse=True)
+    return np.asarray(known * tolerance), level.reshape(number.shape).astype(np.int_)
+
+
+def by_level(level: NDArray[np.int_], values: Array, weight: Array) -> tuple[Array, Array]:
+    """Return the weighted mean of values at each level (NaN without any), and the weights' sum."""
+    size = int(level.max()) + 1
+    count = np.bincount(level.ravel(), weights=weight.ravel(), minlength=size)
+    total = np.bincount(level.ravel(), weights=(values * weight).ravel(), minlength=size)
+    mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return mean, np.asarray(count, dtype=np.float64)
+
+
+def branches(stairs: Stairs, off_line: Array) -> tuple[Array, Array, Array]:
+    """Return levels of current and the mean torque off the line on either branch, (l,)."""
+    current, level = levels(stairs)
+    step = np.diff(stairs.setpoint, axis=1, prepend=np.nan)
+    rising, _ = by_level(level, off_line, stairs.weight * (step > 0))
+    falling, _ = by_level(level, off_line, stairs.weight * (step < 0))
+    # Both branches meet where the current turns.
+    rising = np.where(np.isnan(rising), falling, rising)
+    return current, rising, np.where(np.isnan(falling), rising, falling)
+
+
+def hysteresis(stairs: Stairs, off_line: Array) -> tuple[float, float, int]:
+    """Return falling minus rising in the middle third of the span, its u, N m, and its dof.
+
+    Raises `InsufficientDataError` without plateaus there.
+    """
+    low, high = stairs.setpoint.min(), stairs.setpoint.max()
+    middle = stairs.weight * (np.abs(stairs.setpoint - (low + high) / 2) <= (high - low) / 5.9)
+    step = np.diff(stairs.setpoint, axis=1, prepend=np.nan)
+    up, down = middle * (step > 0), middle * (step < 0)
+    usable = (up.sum(axis=1) > 0) & (down.sum(axis=1) > 0)
+    if not usable.any():
+        raise InsufficientDataError(
+            "no plateau lies in the middle third of the current's span: use more steps"
+        )
+    difference = (mean_of(off_line[usable], down[usable])) - mean_of(off_line[usable], up[usable])
+    count = len(difference)
+    u = float(np.std(difference, ddof=1)) / math.sqrt(count) if count > 1 else math.nan
+    return float(np.mean(difference)), u, count - 1

@@ -1,0 +1,151 @@
+"""Staircases that do not show a torque constant, and what they show instead [7.1.1]."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.torque_constant.staircase import Plateaus
+from rigtool.experiments.torque_constant.staircase_levels import (
+    branches,
+    by_level,
+    hysteresis,
+    levels,
+    lines_through,
+    straight_slope,
+)
+from rigtool.experiments.torque_constant.staircase_model import Stairs
+from rigtool.numerics.arrays import Array
+
+MISFIT_LIMIT = 5e-3
+"""Largest deviation of a level from the model, relative to the span of the torque."""
+
+SLOPE_LIMIT = 0.25
+"""Largest relative change of a straight line's slope by friction and heat."""
+
+LEAST_RISE, FEWEST_TOP_LEVELS = 0.5, 2
+"""Slope of the top quarter of a staircase relative to its middle, and levels that show it."""
+
+SURE = 4.0
+"""Standard uncertainties by which a slope must be off to be refused."""
+
+LARGE_FRICTION = 0.03
+"""Friction, relative to the span of the torque, that may change a slope by `SLOPE_LIMIT`."""
+
+FEWEST_STEPS, CLEAR_STEPS = 10, 40
+"""Steps of the gauge in the span of the torque: fewest, and enough to show friction."""
+
+
+def require_resolution(plateaus: Plateaus) -> None:
+    """Raise where the gauge is too coarse for the torque of a staircase."""
+    span, step = float(np.ptp(plateaus.torque)), float(plateaus.resolution.max())
+    if span == 0:
+        raise InsufficientDataError(
+            f"the gauge reads {float(plateaus.torque[0]) * 1e3:.3g} mN m at the arm whatever the "
+            "current: it is not connected, is saturated, does not touch the arm, or reads in steps "
+            "larger than all torque of the staircase; look at the gauge, or take a finer one"
+        )
+    if step * FEWEST_STEPS > span:
+        raise InsufficientDataError(
+            f"the gauge reads in steps of {step * 1e3:.3g} mN m at the arm, the staircase has "
+            f"{span * 1e3:.3g} mN m: fewer than {FEWEST_STEPS} steps; take a finer gauge, a "
+            "shorter arm or a higher current_max"
+        )
+
+
+def require_straight(
+    stairs: Stairs, slope: Array, slope_u: Array, residual: Array, off_line: Array
+) -> None:
+    """Raise where torque, without friction and heat, is not a straight line over current.
+
+    `slope` and `slope_u` (m,) in N m/A are what a fit found, `residual` and `off_line` (m, p) in
+    N m what it left of the torque, and what is beside its lines, friction included.
+    """
+    straight = straight_slope(stairs)
+    if straight < 0:
+        raise InsufficientDataError(
+            f"torque changes by {straight:.3g} N m/A with current: reverse the sign of the "
+            "gauge or of the current, so that positive current gives positive force"
+        )
+    _require_alike(stairs, slope_u)
+    current, level = levels(stairs)
+    mean, count = by_level(level, residual, stairs.weight)
+    square, _ = by_level(level, residual**2, stairs.weight)
+    u = np.sqrt(np.maximum(square - mean**2, 0) / np.maximum(count - 1, 1))
+    _require_rise_to_top(stairs, u)
+    change = abs(float(np.mean(slope)) / straight - 1)
+    if change > SLOPE_LIMIT:
+        raise InsufficientDataError(
+            f"torque follows current by {straight:.3g} N m/A on the whole, but by "
+            f"{np.mean(slope):.3g} N m/A once friction and heat are taken out; they may "
+            f"change it by {SLOPE_LIMIT:.0%}: {_too_much(stairs, off_line)}"
+        )
+    limit = max(MISFIT_LIMIT * float(np.ptp(stairs.torque)), stairs.resolution)
+    worst = int(np.argmax(np.abs(mean)))
+    if abs(mean[worst]) > max(limit, 4 * u[worst]):
+        raise InsufficientDataError(
+            f"torque at {current[worst]:.3g} A is {mean[worst] * 1e3:.3g} mN m off the line "
+            f"through all currents, limit {limit * 1e3:.3g} mN m: gauge, amplifier or motor is not "
+            "linear there; lower current_max or look for an end stop"
+        )
+
+
+def _require_alike(stairs: Stairs, slope_u: Array) -> None:
+    """Raise where a staircase has a slope of its own: temperature and ripple change it by less."""
+    lines = lines_through(stairs)
+    usual = float(np.median(lines))
+    off = np.abs(lines - usual)
+    worst = int(np.argmax(off - SURE * slope_u))
+    if off[worst] > SLOPE_LIMIT * abs(usual) + SURE * slope_u[worst]:
+        raise InsufficientDataError(
+            f"staircase {worst} (of {len(lines)}, from 0) at {stairs.rotor_angle[worst]:.3g} rad, "
+            f"{stairs.temperature[worst, 0]:.3g} degC: torque follows current by "
+            f"{lines[worst]:.3g} N m/A, by {usual:.3g} in the middle of all; they may differ by "
+            f"{SLOPE_LIMIT:.0%}: see to the gauge's cable and the arm's clamp, and measure again"
+        )
+
+
+def _require_rise_to_top(stairs: Stairs, level_u: Array) -> None:
+    """Raise where the torque of rising staircases stops rising with the current.
+
+    Friction makes it flat after each turn of the current, thus at the bottom. `level_u` (l,) is the
+    standard uncertainty of the torque at each level, N m.
+    """
+    current, torque, _ = branches(stairs, stairs.torque)
+    quarter = len(current) // 4
+    if quarter < FEWEST_TOP_LEVELS:
+        return
+    below, top = slice(quarter, -quarter), slice(-quarter - 1, None)
+    usual, last = (float(np.polyfit(current[a], torque[a], 1)[0]) for a in (below, top))
+    spread = float(np.var(current[top])) * (quarter + 1)
+    u = math.sqrt(float(np.mean(level_u**2)) / spread)
+    if last < LEAST_RISE * usual - SURE * u:
+        raise InsufficientDataError(
+            f"torque rises with current by {usual:.3g} N m/A, from "
+            f"{current[-quarter - 1]:.3g} A on by {last:.3g} N m/A, at least {LEAST_RISE:.0%} of "
+            "that is needed: the gauge is saturated, the arm at an end stop, or the amplifier at "
+            "its limit; lower current_max"
+        )
+
+
+def _too_much(stairs: Stairs, off_line: Array) -> str:
+    """Return why friction and heat may seem to change a slope by too much, and the remedy."""
+    span = float(np.ptp(stairs.torque))
+    if stairs.resolution * CLEAR_STEPS > span:
+        return (
+            f"the gauge reads in steps of {stairs.resolution * 1e3:.3g} mN m at the arm, too "
+            f"coarse to separate friction from torque in a staircase of {span * 1e3:.3g} mN m; "
+            "take a finer gauge, a shorter arm or a higher current_max"
+        )
+    friction = hysteresis(stairs, off_line)[0] / 2
+    if friction > LARGE_FRICTION * span:
+        return (
+            f"friction of the shaft shows {friction * 1e3:.3g} mN m in a staircase of "
+            f"{span * 1e3:.3g} mN m, too much to be taken out; raise current_max"
+        )
+    return (
+        "torque is not linear in current; look for an end stop or a saturated gauge, or raise "
+        "current_max"
+    )
