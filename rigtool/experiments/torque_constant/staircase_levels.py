@@ -35,7 +35,10 @@ def levels(stairs: Stairs) -> tuple[Array, NDArray[np.int_]]:
 
 
 def by_level(level: NDArray[np.int_], values: Array, weight: Array) -> tuple[Array, Array]:
-    """Return the weighted mean of values at each level (NaN without any), and the weights' sum."""
+    """Return the weighted mean of values (m, p) by level (l,), and the sums of their weights.
+
+    A level without any has NaN.
+    """
     size = int(level.max()) + 1
     count = np.bincount(level.ravel(), weights=weight.ravel(), minlength=size)
     total = np.bincount(level.ravel(), weights=(values * weight).ravel(), minlength=size)
@@ -57,7 +60,8 @@ def branches(stairs: Stairs, off_line: Array) -> tuple[Array, Array, Array]:
 def hysteresis(stairs: Stairs, off_line: Array) -> tuple[float, float, int]:
     """Return falling minus rising in the middle third of the span, its u, N m, and its dof.
 
-    Raises `InsufficientDataError` without plateaus there.
+    `off_line` (m, p) in N m is the torque off the line. Raises `InsufficientDataError` without
+    plateaus there.
     """
     low, high = stairs.setpoint.min(), stairs.setpoint.max()
     middle = stairs.weight * (np.abs(stairs.setpoint - (low + high) / 2) <= (high - low) / 5.9)

@@ -39,7 +39,7 @@ FEWEST_STEPS, CLEAR_STEPS = 10, 40
 
 
 def require_resolution(plateaus: Plateaus) -> None:
-    """Raise where the gauge is too coarse for the torque of a staircase."""
+    """Raise `InsufficientDataError` where the gauge is too coarse for a staircase's torque."""
     span, step = float(np.ptp(plateaus.torque)), float(plateaus.resolution.max())
     if span == 0:
         raise InsufficientDataError(
@@ -58,10 +58,11 @@ def require_resolution(plateaus: Plateaus) -> None:
 def require_straight(
     stairs: Stairs, slope: Array, slope_u: Array, residual: Array, off_line: Array
 ) -> None:
-    """Raise where torque, without friction and heat, is not a straight line over current.
+    """Raise `InsufficientDataError` where torque is not a straight line over current.
 
-    `slope` and `slope_u` (m,) in N m/A are what a fit found, `residual` and `off_line` (m, p) in
-    N m what it left of the torque, and what is beside its lines, friction included.
+    That is torque without friction and heat. `slope` and `slope_u` (m,) in N m/A are what a fit
+    found, `residual` and `off_line` (m, p) in N m what it left of the torque, and what is beside
+    its lines, friction included.
     """
     straight = straight_slope(stairs)
     if straight < 0:
