@@ -74,9 +74,9 @@ class Hypotheses:
 
     `stairs` have courses without noise. `constant` in N m/A is the mean of all hypotheses on the
     mean staircases, `spread` their standard deviation, `drift` in N m/(A K) that of the constants'
-    change with temperature, `heat_loss_spread` in 1/A2 the standard uncertainty from tau of the
-    most probable one's relative loss of the constant within `HEATING_TIME`, over the square of the
-    current: the root mean square of what all others differ from it, and the distance of their tau.
+    change with temperature. `heat_loss` in 1/A2 is the mean of the relative loss of the constant
+    within `HEATING_TIME`, over the square of the current, `heat_loss_spread` its standard
+    deviation; `untried` is the relative standard uncertainty of that, as tau is tried in steps.
     """
 
     stairs: Stairs
@@ -84,7 +84,9 @@ class Hypotheses:
     constant: float
     spread: float
     drift: float
+    heat_loss: float
     heat_loss_spread: float
+    untried: float
 
 
 def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypotheses:
@@ -110,7 +112,7 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
     probable /= probable.sum()
     mean = probable @ tried.slope
     spread = np.sqrt(probable @ (tried.slope - mean) ** 2)
-    best, loss = tried.commons[number], float(tried.slope[number, 2])
+    best = tried.commons[number]
     length = float(np.mean(stairs.end.max(axis=1) - stairs.begin.min(axis=1)))
     return Hypotheses(
         means.stairs,
@@ -118,7 +120,9 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
         constant=float(mean[0]),
         spread=float(spread[0]),
         drift=float(spread[1]),
-        heat_loss_spread=math.hypot(spread[2], mean[2] - loss, loss * _untried(best, length)),
+        heat_loss=float(mean[2]),
+        heat_loss_spread=float(spread[2]),
+        untried=_untried(best, length),
     )
 
 

@@ -109,6 +109,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     stairs = hypotheses.stairs
     solution = _solve(stairs, hypotheses.best, coefficient, rise)
     constant = hypotheses.constant
+    lasting = solution.loss * hypotheses.best.warming()
     share = abs(straight_slope(stairs) / constant - 1 + solution.heating)
     u, dof = _lack_of_fit(stairs, solution, average)
     trend_u, _ = _lack_of_fit(stairs, solution, trend)
@@ -128,9 +129,13 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         heating=solution.heating,
         heating_u=solution.heating_u,
         heating_dof=solution.heating_dof,
-        lasting_heating=solution.loss * hypotheses.best.warming(),
+        lasting_heating=lasting,
         lasting_heating_u=solution.loss_u * hypotheses.best.warming(),
-        lasting_heating_spread=hypotheses.heat_loss_spread,
+        lasting_heating_spread=math.hypot(
+            hypotheses.heat_loss_spread,
+            hypotheses.heat_loss - lasting,
+            lasting * hypotheses.untried,
+        ),
         friction_u=math.hypot(u, hypotheses.spread) / constant,
         friction_dof=dof,
         friction_share=share,
