@@ -159,8 +159,9 @@ _PREFIXED = ("A", "N", "m", "s")
 """Units that are shown with the prefix that suits a value."""
 
 _RELATIVE = re.compile(
-    "torque_constant_(constant_error|ripple(_small_current)?)|friction_asymmetry|model_distance|(error_)?reduction"
-    "|removed|record_variance_removed|shape_difference|valid_share|(.*_)?coverage_95"
+    "torque_constant_(constant_error|ripple(_small_current)?)|friction_asymmetry"
+    "|model_distance|(error_)?reduction|removed|record_variance_removed|shape_difference"
+    "|valid_share|(.*_)?coverage_95"
 )
 """Names of results without a unit that are shown in percent."""
 

@@ -37,8 +37,8 @@ PASSED = 3 * math.pi / (8 * math.sqrt(2))
 """Integral of 1 / (1 + x^4)^2: of the power that the low-pass lets through."""
 
 LEAST_RATIO, LEAST_GROWTH = 2.0, 0.5
-"""Ratio r from which on it counts, and its least growth, as a power of the frequency, by which a
-low-pass is told from less noise: the pole has 2."""
+"""Ratio r from which on it counts, and its least growth, as a power of the frequency: a pole has 2,
+less noise alone 0."""
 
 
 @dataclass(frozen=True, eq=False)

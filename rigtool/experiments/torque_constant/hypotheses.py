@@ -55,8 +55,8 @@ finite way, above 1 for ductile ones (Dahl 1968; AIAA J. 14(12) 1675-1682, 1976)
 COARSE, FINE = (16, 6, 3, 5), (7, 4, 5, 4)
 """Values of s, tau, exponent and lag over all of their range, and in each finer grid."""
 
-TAU_STEP = 0.5
-"""Distance of the values of tau that are tried, logarithm."""
+TAU_STEP = math.log(LONGEST_TIME_CONSTANT / SHORTEST_TIME_CONSTANT) / (COARSE[1] - 1) / 2
+"""Distance of the values of tau that are tried, logarithm: finer grids add the middles."""
 
 FINER_GRIDS = 3
 """Grids that each cover the best of the one before."""
