@@ -57,6 +57,10 @@ COMPARED_SPEEDS = 2
 """Of the strokes under known loads, the slowest: errors of those without load and of those with the
 largest one show what u is, too."""
 
+TURNING_SPEED_RATIO = 0.35
+"""Part of the highest speed from which on the turns of moves show the inertia: at a third of the
+speed, it takes a tenth of the torque."""
+
 UNLIMITED_REACH = Reach((-math.inf, math.inf), math.inf, math.inf, (-math.inf, math.inf))
 
 
@@ -126,18 +130,9 @@ def learn_force(
     uncertainty = ForceModel(sliding.learned, deviating).uncertainty
     rested = learn_rest(sliding.learned, shown, uncertainty, STEP_TIME)
     if moves:
-        fast = max(moves, key=lambda r: r.condition("speed"))
-        fastest = _signals(fast, recipe)
         under = _condition(recipe, kt, warm, 0.0)
-        stroke_time = np.ptp(fastest.encoder) * own.count / fast.condition("speed")
-        turns = Exploration(
-            fastest.encoder,
-            fastest.total,
-            _interval(fastest),
-            under.torque_constant,
-            own.count,
-            float(stroke_time),
-        )
+        least = TURNING_SPEED_RATIO * max(r.condition("speed") for r in moves)
+        turns = [_turning(r, recipe, under) for r in moves if r.condition("speed") >= least]
         rested = learn_turns(rested, turns, ForceModel(rested, deviating).untouched, STEP_TIME)
     model = ForceModel(rested, deviating)
     slowest = min(r.condition("speed") for r in strokes)
@@ -156,6 +151,16 @@ def learn_force(
     # Faster motion with smaller errors must not lower the thresholds of slow motion
     limits = np.maximum(thresholds(tried), thresholds(tried[: 1 + len(slow)]))
     return LearnedForce(replace(model, limits=limits), sliding, loaded, scatter)
+
+
+def _turning(recording: Recording, recipe: Recipe, under: LoadCase) -> Exploration:
+    """Return moves without load as an exploration, of which the model deviates by strokes."""
+    own = _signals(recording, recipe)
+    stroke_time = float(np.ptp(own.encoder) * under.count / recording.condition("speed"))
+    torque_constant = under.torque_constant
+    return Exploration(
+        own.encoder, own.total, _interval(own), torque_constant, under.count, stroke_time
+    )
 
 
 def untouched_motions(

@@ -11,7 +11,7 @@ that everything else with them. Large errors count in proportion (P. J. Huber, A
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -104,7 +104,7 @@ def learn_rest(
 
     `step_time` s is that of the filter.
     """
-    problem = RestProblem(learned, exploration, held(uncertainty), step_time, BY_REST)
+    problem = RestProblem(learned, [exploration], held(uncertainty), step_time, BY_REST)
     return problem.solution(problem.tried())
 
 
@@ -120,9 +120,15 @@ def held(uncertainty: Uncertainty) -> Uncertainty:
 
 
 def learn_turns(
-    learned: LearnedModel, strokes: Exploration, uncertainty: Uncertainty, step_time: float
+    learned: LearnedModel,
+    strokes: Sequence[Exploration],
+    uncertainty: Uncertainty,
+    step_time: float,
 ) -> LearnedModel:
     """Return the model with the inertia that the turns of fast strokes without load show.
+
+    The strokes have several speeds, but samples of one length: inertia grows with the speed squared
+    at a turn, and what else is off there does not.
 
     Sliding shows the inertia little, as turns are left out there; here friction about a turn is
     that which `learn_rest` found. `uncertainty` is that of a filter that expects no contact;
@@ -133,22 +139,28 @@ def learn_turns(
 
 
 class RestProblem:
-    """Errors of the filter by parameters: logarithms of the two lengths, then of what is shown."""
+    """Errors of the filter by parameters: logarithms of the two lengths, then of what is shown.
+
+    Errors of all explorations follow one another; their samples have one length.
+    """
 
     def __init__(
         self,
         learned: LearnedModel,
-        exploration: Exploration,
+        explorations: Sequence[Exploration],
         uncertainty: Uncertainty,
         step_time: float,
         shown: Shown,
     ) -> None:
         self.learned, self.uncertainty = learned, uncertainty
-        self._signals_of = _Inputs(exploration)
-        self.step_samples = max(1, round(step_time / self._signals_of.sample_time))
-        self._rate = rate = 1 / (self.step_samples * self._signals_of.sample_time)
-        self._rows = max(1.0, exploration.deviation_time * ROWS_HZ)
+        self._inputs = [_Inputs(exploration) for exploration in explorations]
+        self._sample_time = self._inputs[0].sample_time
+        self.step_samples = max(1, round(step_time / self._sample_time))
+        self._rate = rate = 1 / (self.step_samples * self._sample_time)
         self._first, self._apart = round(FILTER_SETTLING_TIME * rate), max(1, round(rate / ROWS_HZ))
+        alike = [max(1.0, one.deviation_time * ROWS_HZ) for one in explorations]
+        # of each error, the square root of how many are alike
+        self.alike = np.sqrt(np.repeat(alike, [self._count(one) for one in self._inputs]))
         named = [SLIDING_PARAMETERS.index(name) for name in shown.shape]
         listed = [
             len(SLIDING_PARAMETERS) + n
@@ -164,8 +176,12 @@ class RestProblem:
         self.covariance = np.zeros((len(self.start), len(self.start)))
         self.covariance[:2, :2] = np.diag(learned.length_u**2)
         self.covariance[2:, 2:] = own
-        plant = plant_of(learned, self._signals_of.sample_time)
+        plant = plant_of(learned, self._sample_time)
         self.friction = plant.coulomb + plant.housing_friction
+
+    def _count(self, inputs: _Inputs) -> int:
+        """Return how many errors there are of an exploration."""
+        return len(range(self._first, (inputs.size - 1) // self.step_samples, self._apart))
 
     def model(self, parameters: Array) -> LearnedModel:
         """Return the model with parameters (p,), all others moved as far as they go with them."""
@@ -181,12 +197,16 @@ class RestProblem:
     def errors(self, parameters: Array) -> Array:
         """Return the torque that the filter finds although none acts, low-passed (r,), N m."""
         model = self.model(parameters)
-        plant = plant_of(model, self._signals_of.sample_time)
+        plant = plant_of(model, self._sample_time)
         if not plant_is_sound(plant):
-            return np.full(self.errors(self.start).size, np.inf)
-        signals = self._signals_of.under(model)
-        passed = Filter(plant, self.uncertainty, self.step_samples, CORNER_HZ).add(signals)
-        return delayed(self._rate, passed.torque, CORNER_HZ)[self._first :: self._apart]
+            return np.full(self.alike.size, np.inf)
+        parts = []
+        for inputs in self._inputs:
+            found = Filter(plant, self.uncertainty, self.step_samples, CORNER_HZ)
+            torque = found.add(inputs.under(model)).torque
+            passed = delayed(self._rate, torque, CORNER_HZ)
+            parts.append(passed[self._first :: self._apart])
+        return np.concatenate(parts)
 
     def tried(self) -> Iterator[Array]:
         """Yield parameters (p,) on a grid of lengths and of the bearing's share of friction."""
@@ -212,7 +232,7 @@ class RestProblem:
         Its covariance comes from both.
         """
         root: Array = np.asarray(np.linalg.cholesky(self.covariance), dtype=np.float64)
-        scale = ROW_ERROR * self.friction * np.sqrt(self._rows)
+        scale = ROW_ERROR * self.friction * self.alike
         count = len(self.start)
 
         def cost(x: Array) -> Array:
@@ -232,7 +252,7 @@ class RestProblem:
         for _ in range(MAX_ITERATIONS):
             slopes = np.stack([slope(way) for way in np.eye(count)], axis=1)
             weight = np.ones(left.size)
-            weight[:-count] = 1 / np.hypot(1, left[:-count] * np.sqrt(self._rows) / HUBER_THRESHOLD)
+            weight[:-count] = 1 / np.hypot(1, left[:-count] * self.alike / HUBER_THRESHOLD)
             information: Array = slopes.T @ (slopes * weight[:, None])
             before = float(weight @ left**2)
             gained = 0.0
@@ -269,7 +289,7 @@ class _Inputs:
     """What the filter takes, means of `SAMPLES_PER_STEP` samples of the loop."""
 
     def __init__(self, exploration: Exploration) -> None:
-        size = len(exploration.encoder) // SAMPLES_PER_STEP
+        size = self.size = len(exploration.encoder) // SAMPLES_PER_STEP
         self.sample_time = SAMPLES_PER_STEP * exploration.sample_time
         self._exploration = exploration
         thinned = exploration.current[: size * SAMPLES_PER_STEP].reshape(size, SAMPLES_PER_STEP)

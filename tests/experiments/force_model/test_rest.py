@@ -94,7 +94,7 @@ def turned(wanted, noise, kept, record, friction_map):
 
 def error(model, motion):
     """Return the rms of the torque that is found where there is none, N m."""
-    problem = RestProblem(model, motion, held(UNCERTAINTY), 1e-3, BY_REST)
+    problem = RestProblem(model, [motion], held(UNCERTAINTY), 1e-3, BY_REST)
     return float(np.sqrt(np.mean(problem.errors(problem.start) ** 2)))
 
 
@@ -140,10 +140,11 @@ def test_uncertainty_shrinks_where_rest_shows_something(learned):
 def test_a_slope_is_taken_on_the_side_that_is_physically_possible(monkeypatch):
     def errors(self, parameters):
         away = parameters - self.start
-        return np.full(50, np.inf) if away[0] > 0 else 1e-4 * (1 + np.resize(away, 50))
+        count = self.alike.size
+        return np.full(count, np.inf) if away[0] > 0 else 1e-4 * (1 + np.resize(away, count))
 
     monkeypatch.setattr(RestProblem, "errors", errors)
-    found = learn_rest(model(), explored(model(), 0.5), UNCERTAINTY, 1e-3)
+    found = learn_rest(model(), explored(model(), 2.0), UNCERTAINTY, 1e-3)
     assert np.all(np.isfinite(found.length_u))
     assert np.all(np.isfinite(found.covariance))
 
@@ -156,13 +157,13 @@ def test_turns_of_fast_strokes_show_the_inertia():
     strokes = explored(truth, seconds=4.0, period=0.2, sizes=(1.5, 1.5))
     rate = UNCERTAINTY.torque_rate
     untouched = replace(UNCERTAINTY, slow_torque_rate=rate, step_torque_rate=rate)
-    found = learn_turns(wrong, strokes, untouched, 1e-3)
+    found = learn_turns(wrong, [strokes], untouched, 1e-3)
     before, after, true = (plant_of(one, STEP).inertia for one in (wrong, found, truth))
     assert before == pytest.approx(0.96 * true)
     assert after == pytest.approx(true, rel=0.007)
     inertia = len(SLIDING_PARAMETERS) + list(FRICTIONS).index(Kind.INERTIA)
     assert found.covariance[inertia, inertia] < truth.covariance[inertia, inertia] / 4
-    brief = learn_turns(wrong, replace(strokes, deviation_time=0.1), untouched, 1e-3)
+    brief = learn_turns(wrong, [replace(strokes, deviation_time=0.1)], untouched, 1e-3)
     assert brief.covariance[inertia, inertia] < 0.8 * found.covariance[inertia, inertia]
 
 
@@ -177,13 +178,13 @@ def test_turns_of_fast_strokes_show_that_torque_is_late():
     early = replace(strokes, current=np.roll(strokes.current, -round(late / STEP)))
     rate = UNCERTAINTY.torque_rate
     untouched = replace(UNCERTAINTY, slow_torque_rate=rate, step_torque_rate=rate)
-    found = learn_turns(unsure, early, untouched, 1e-3)
+    found = learn_turns(unsure, [early], untouched, 1e-3)
     assert late / 3 < found.coefficient[delay] < 4 / 3 * late
     assert found.covariance[place, place] < covariance[place, place] / 2
     before, after = (
         np.sqrt(np.mean(problem.errors(problem.start) ** 2))
         for problem in (
-            RestProblem(one, early, untouched, 1e-3, BY_TURNS) for one in (unsure, found)
+            RestProblem(one, [early], untouched, 1e-3, BY_TURNS) for one in (unsure, found)
         )
     )
     assert after < before / 2
