@@ -75,9 +75,10 @@ UNTOUCHED_RANDOM_WALK = 1e-3
 that expects contacts would take for one is an error of the model."""
 
 SPEED_RATE = 2.0
-"""Random walk of the speeds here, rad/s per square root of a second. A filter that is surer of its
-speed can lose a count and not find back: errors then leap where a parameter hardly changes, and the
-search stops at the next leap."""
+"""Random walk of the speeds in a first search, rad/s per square root of a second. A filter that is
+surer of its speed can lose a count and not find back: errors then leap where a parameter hardly
+changes, and the search stops at the next leap. Near its end, a second search has the random walk of
+the filter that reads forces: what the first one finds is best for another filter."""
 
 SAMPLES_PER_STEP = 2
 """Samples of the loop in one sample of the filter here, which halves the time."""
@@ -104,8 +105,11 @@ def learn_rest(
 
     `step_time` s is that of the filter.
     """
-    problem = RestProblem(learned, [exploration], held(uncertainty), step_time, BY_REST)
-    return problem.solution(problem.tried())
+    searched = held(uncertainty)
+    problem = RestProblem(learned, [exploration], searched, step_time, BY_REST)
+    near = problem.parameters(problem.solution(problem.tried()))
+    used = replace(searched, speed_rate=uncertainty.speed_rate)
+    return RestProblem(learned, [exploration], used, step_time, BY_REST).solution([near])
 
 
 def held(uncertainty: Uncertainty) -> Uncertainty:
@@ -169,10 +173,9 @@ class RestProblem:
         ]
         self.shown = [*named, *listed]
         self.known = np.concatenate([logarithms(learned.shape), learned.coefficient])
+        self.start = self.parameters(learned)
         own = learned.covariance[np.ix_(self.shown, self.shown)]
         self.follows = np.linalg.solve(own, learned.covariance[self.shown]).T
-        lengths = [learned.shape.bearing_length, learned.shape.housing_length]
-        self.start = np.concatenate([np.log(lengths), self.known[self.shown]])
         self.covariance = np.zeros((len(self.start), len(self.start)))
         self.covariance[:2, :2] = np.diag(learned.length_u**2)
         self.covariance[2:, 2:] = own
@@ -193,6 +196,13 @@ class RestProblem:
         lengths = np.exp(parameters[:2]).tolist()
         shape = replace(shape, bearing_length=lengths[0], housing_length=lengths[1])
         return replace(self.learned, shape=shape, coefficient=every[len(SLIDING_PARAMETERS) :])
+
+    def parameters(self, model: LearnedModel) -> Array:
+        """Return the parameters (p,) of a model."""
+        shape = model.shape
+        lengths = np.log([shape.bearing_length, shape.housing_length])
+        every = np.concatenate([logarithms(shape), model.coefficient])
+        return np.concatenate([lengths, every[self.shown]])
 
     def errors(self, parameters: Array) -> Array:
         """Return the torque that the filter finds although none acts, low-passed (r,), N m."""
@@ -244,8 +254,8 @@ class RestProblem:
                 there = left - cost(here - PARAMETER_STEP * way)
             return there / PARAMETER_STEP
 
-        begun = [self.start, *begins]
-        tried = [np.linalg.solve(root, one - self.start) for one in begun]
+        apart = [one - self.start for one in (self.start, *begins)]
+        tried = [np.asarray(np.linalg.solve(root, one), dtype=np.float64) for one in apart]
         here = min(tried, key=lambda x: float(np.sum(np.hypot(1, cost(x)))))
         left = cost(here)
         damping = 0.0
