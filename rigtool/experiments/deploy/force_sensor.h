@@ -1174,13 +1174,34 @@ static inline void rs_earlier(
     s->heard = 1;
 }
 
+/* Advance by a sample of the equations, and read where it begins a step; 0 where that fails. */
+static inline int rs_sample(struct rigtool_sensor *s)
+{
+    rs_real torque, viscous;
+    if (s->samples == RS_STEP_SAMPLES) {
+        s->samples = 0;
+        rs_predicted(s);
+        rs_rebase(s, s->encoder);
+        rs_update(s);
+        rs_locate(s);
+        if (!rs_read(s))
+            return 0;
+        rs_ahead(s);
+    }
+    s->samples++;
+    torque = rs_drive(s, &viscous);
+    rs_advance(s, torque, viscous);
+    s->temperature_before = s->temperature;
+    s->limited_before = s->limited;
+    return 1;
+}
+
 /* Take in a sample of the loop and return the latest reading; a current or a temperature that is no
  * number, or beyond all limits, begins anew. */
 static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
     struct rigtool_sensor *s, struct rigtool_sensor_sample sample)
 {
-    rs_real torque, viscous;
-    int limited = RS_MATH(fabs)(sample.current) >= rs_model.current_limit;
+    int limited = RS_MATH(fabs)(sample.current) >= rs_model.current_limit, part;
     s->reading.fresh = 0;
     if (!rs_finite(sample.current + sample.temperature)) {
         rigtool_sensor_init(s);
@@ -1205,23 +1226,17 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
     s->temperature *= (rs_real)1 / RS_AVERAGED;
     if (!s->begun)
         rs_begin(s);
-    if (s->samples == RS_STEP_SAMPLES) {
-        s->samples = 0;
-        rs_predicted(s);
-        rs_rebase(s, s->encoder);
-        rs_update(s);
-        rs_locate(s);
-        if (!rs_read(s)) {
-            rigtool_sensor_init(s);
-            return &s->reading;
+    for (part = 0; part < RS_DIVIDED; part++) {
+        if (part == 1) { /* behind the count that was read now */
+            s->current = s->last.current;
+            s->temperature = s->last.temperature;
+            s->limited = s->last_limited;
         }
-        rs_ahead(s);
+        if (!rs_sample(s)) {
+            rigtool_sensor_init(s);
+            break;
+        }
     }
-    s->samples++;
-    torque = rs_drive(s, &viscous);
-    rs_advance(s, torque, viscous);
-    s->temperature_before = s->temperature;
-    s->limited_before = s->limited;
     return &s->reading;
 }
 

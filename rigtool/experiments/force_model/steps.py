@@ -64,6 +64,11 @@ class FilterSteps:
         """Time of a step, s."""
         return self.step_samples * self.sample_time
 
+    @property
+    def immediate(self) -> bool:
+        """Whether no angle comes from later samples."""
+        return self.divided == 1 or self.earlier
+
     @classmethod
     def of(cls, interval: float, loop_time: float) -> FilterSteps:
         """Return the grid for samples that were recorded every `interval` s by a loop that reads

@@ -66,8 +66,10 @@ def test_readings_are_those_of_python(libraries, samples, motion):
 
 
 @pytest.mark.compiles
-@pytest.mark.parametrize(("interval", "every"), [(0.5e-3, 4), (100e-6, 1)])
-def test_loops_whose_samples_make_an_odd_number_of_those_of_the_equations(
+@pytest.mark.parametrize(
+    ("interval", "every"), [(0.5e-3, 4), (100e-6, 1), (1e-3, 8), (0.75e-3, 6), (1.375e-3, 11)]
+)
+def test_loops_whose_samples_are_no_even_number_for_each_of_the_equations(
     tmp_path, samples, interval, every
 ):
     own = instrument(interval=interval, loop_time=interval)
@@ -189,7 +191,7 @@ def test_states_and_counts_are_those_of_the_model():
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"interval": 1e-3}, "a loop of 1000 Hz is slower than the equations"),
+        ({"interval": 1.5e-3}, "a loop of 666.7 Hz come from later ones, above 667 Hz"),
         ({"torque_constant": (float("nan"), 0.0)}, "constant is nan"),
         ({"current_limit": float("inf")}, "current_limit is inf"),
     ],
