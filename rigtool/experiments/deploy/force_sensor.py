@@ -17,7 +17,7 @@ import numpy as np
 from rigtool.experiments.deploy.c_header import comment
 from rigtool.experiments.force_filter import kalman, motion_states, passed
 from rigtool.experiments.force_model.drive import VISCOUS
-from rigtool.experiments.force_model.steps import LONGEST_EXACT
+from rigtool.experiments.force_model.steps import LONGEST_EXACT, NO_CURRENT
 from rigtool.experiments.force_sensor import power_up, shown_ripple
 from rigtool.experiments.force_sensor.sensor import AT_THE_LIMIT, SensorProperties
 from rigtool.numerics.arrays import Array
@@ -219,8 +219,11 @@ def _states(instrument: SensorProperties) -> dict[str, Number]:
 def _reading(instrument: SensorProperties, coverage_factor: float) -> dict[str, Number]:
     return {
         "low_pass": passed.section(instrument.corner_hz, instrument.grid.step_time),
+        "settled": passed.settled(passed.section(instrument.corner_hz, instrument.grid.step_time)),
         "scales": instrument.model.scales[1],
         "coverage": coverage_factor,
+        "no_current": NO_CURRENT,
+        "held_variance": instrument.held_variance,
     }
 
 

@@ -13,6 +13,7 @@ from rigtool.experiments.force_filter.motion_states import State
 from tests.experiments.deploy.sensors import (
     COUNTS,
     HOST,
+    INTERVAL,
     REACH,
     STRICT,
     WARM,
@@ -78,6 +79,21 @@ def test_loops_whose_samples_are_no_even_number_for_each_of_the_equations(
     assert np.isfinite(wanted[:, 0]).mean() > 0.9
     np.testing.assert_array_equal(found[:, 4], wanted[:, 4])
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * RANGE)
+
+
+@pytest.mark.compiles
+def test_a_motor_without_current_is_carried_and_held(libraries, samples):
+    part = samples["free"][:, :24000].copy()
+    part[1, 6000:] = 0.0
+    part[0, 16000:] = part[0, 16000]
+    wanted, found = expected(instrument(), part), read(libraries["double"], part)
+    np.testing.assert_array_equal(found[:, 4], wanted[:, 4])
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * RANGE)
+    held = wanted[:, 4] == State.STILL
+    plant = Model().plant(INTERVAL)
+    friction = plant.torque_factor * (plant.coulomb + plant.housing_friction)
+    assert held[-100:].all()
+    assert (wanted[-100:, 1] > friction / np.sqrt(3)).all()
 
 
 @pytest.mark.parametrize("motion", ["strokes", "free", "rest"])

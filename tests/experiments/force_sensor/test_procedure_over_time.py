@@ -104,6 +104,16 @@ def test_observing_reads_what_somebody_else_moves(rig):
         assert not stored.recording("observed_000").has("position_setpoint")
 
 
+def test_a_hand_at_the_output_may_hold_whatever_friction_does(rig):
+    hand = ("virtual.hand.moves=output", "virtual.hand.pause_share=0.6")
+    table = rig(20.0, *hand, observed=True, source=RECIPE, name="hand.h5").tables["force"]
+    rests = table["state"] == State.STILL
+    error = np.abs(table["torque"] - table["reference"])
+    assert rests.mean() > 0.2
+    assert (error < 1.96 * table["u"])[rests].mean() > 0.95
+    assert (error < 1.96 * table["u"])[table["state"] == State.REVERSED].mean() > 0.8
+
+
 def test_motions_beyond_what_was_learned_are_refused_before_anything_moves(rig):
     fast = ("measure_force.motion.kind=sine", "measure_force.motion.frequency_hz=5")
     with pytest.raises(RecipeError, match=r"rad/s.*learned up to"):
