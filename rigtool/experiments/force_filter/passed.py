@@ -38,8 +38,8 @@ def section(corner_hz: float, step_time: float) -> Array:
 def settled(low_pass: Array) -> Array:
     """Return the states q (2,) of a `section` behind which a torque of 1 N m has always been."""
     change, feed = low_pass[:LOW_PASS_ORDER, :LOW_PASS_ORDER], low_pass[:LOW_PASS_ORDER, -1]
-    found: Array = np.linalg.solve(np.eye(LOW_PASS_ORDER) - change, feed)
-    return found
+    found = np.linalg.solve(np.eye(LOW_PASS_ORDER) - change, feed)
+    return np.asarray(found, dtype=np.float64)
 
 
 def delay(corner_hz: float) -> float:

@@ -134,7 +134,14 @@ def read_recording(
                 continue
             if stretch is None:
                 began, left = float(block[0, 0]), recording.size - done
-                stretch = Stretch(recording.name, instrument, began, left, workers)
+                stretch = Stretch(
+                    recording.name,
+                    instrument,
+                    began,
+                    left,
+                    workers,
+                    commanded=recording.has("position_setpoint"),
+                )
             done += block.shape[1]
             stretch.add(block[1:])
         if stretch is not None:
@@ -203,14 +210,21 @@ class Stretch:
     """
 
     def __init__(
-        self, name: str, instrument: SensorProperties, began: float, size: int, workers: Executor
+        self,
+        name: str,
+        instrument: SensorProperties,
+        began: float,
+        size: int,
+        workers: Executor,
+        *,
+        commanded: bool = False,
     ) -> None:
         step_time = instrument.grid.step_time
         self._name, self._instrument, self._workers = name, instrument, workers
         self._began = began - instrument.interval / 2
         self._every = steps_of_a_row(step_time, instrument.corner_hz)
         self._sensor = Sensor(instrument)
-        self._watch = SignalWatch(instrument)
+        self._watch = SignalWatch(instrument, commanded=commanded)
         self._again = instrument.again()
         self._smoother = Smoother(instrument.model.uncertainty, step_time)
         self._untouched: Filter | None = None

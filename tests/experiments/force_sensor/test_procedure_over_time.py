@@ -328,6 +328,14 @@ def test_an_encoder_that_never_counts_is_refused(rig, strokes, tmp_path):
         run(MEASURE_FORCE, path, tmp_path / "again.h5", kt=KT, tables=rig.tables)
 
 
+def test_a_current_of_the_other_sign_is_refused(rig, strokes, tmp_path):
+    path, _ = changed(
+        rig, tmp_path, lambda own: {**own, "current_setpoint": -own["current_setpoint"]}
+    )
+    with pytest.raises(InsufficientDataError, match="opposite signs"):
+        run(MEASURE_FORCE, path, tmp_path / "again.h5", kt=KT, tables=rig.tables)
+
+
 def test_gaps_and_samples_without_value_begin_anew(rig, strokes, live, tmp_path):
     path, signals = changed(rig, tmp_path, broken)
     found = run(MEASURE_FORCE, path, tmp_path / "again.h5", kt=KT, tables=rig.tables)
