@@ -382,9 +382,9 @@ def test_what_is_too_short_between_gaps_begins_no_filter(rig, strokes, tmp_path,
     begun = []
 
     class Counted(procedure_reading.Stretch):
-        def __init__(self, *args):
+        def __init__(self, *args, **options):
             begun.append(args)
-            super().__init__(*args)
+            super().__init__(*args, **options)
 
     monkeypatch.setattr(procedure_reading, "Stretch", Counted)
     path, signals = changed(rig, tmp_path, riddled)
