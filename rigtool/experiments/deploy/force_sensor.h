@@ -1188,37 +1188,16 @@ static inline void rs_earlier(
     s->heard = 1;
 }
 
-/* Advance by a sample of the equations, and read where it begins a step; 0 where that fails. */
-static inline int rs_sample(struct rigtool_sensor *s)
-{
-    rs_real torque, viscous;
-    const int idle = RS_MATH(fabs)(s->current) <= rs_model.no_current;
-    if (s->samples == RS_STEP_SAMPLES) {
-        s->samples = 0;
-        s->idle = idle && s->idle_before;
-        rs_predicted(s);
-        rs_rebase(s, s->encoder);
-        rs_update(s);
-        rs_locate(s);
-        if (!rs_read(s))
-            return 0;
-        rs_ahead(s);
-    }
-    s->samples++;
-    torque = rs_drive(s, &viscous);
-    rs_advance(s, torque, viscous);
-    s->temperature_before = s->temperature;
-    s->limited_before = s->limited;
-    s->idle_before = idle;
-    return 1;
-}
-
 /* Take in a sample of the loop and return the latest reading; a current or a temperature that is no
  * number, or beyond all limits, begins anew. */
 static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
     struct rigtool_sensor *s, struct rigtool_sensor_sample sample)
 {
-    int limited = RS_MATH(fabs)(sample.current) >= rs_model.current_limit, part;
+    rs_real torque, viscous;
+    int limited = RS_MATH(fabs)(sample.current) >= rs_model.current_limit, idle;
+#if RS_DIVIDED > 1
+    int part;
+#endif
     s->reading.fresh = 0;
     if (!rs_finite(sample.current + sample.temperature)) {
         rigtool_sensor_init(s);
@@ -1243,17 +1222,36 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
     s->temperature *= (rs_real)1 / RS_AVERAGED;
     if (!s->begun)
         rs_begin(s);
-    for (part = 0; part < RS_DIVIDED; part++) {
-        if (part == 1) { /* behind the count that was read now */
-            s->current = s->last.current;
-            s->temperature = s->last.temperature;
-            s->limited = s->last_limited;
-        }
-        if (!rs_sample(s)) {
+    idle = RS_MATH(fabs)(s->current) <= rs_model.no_current;
+    if (s->samples == RS_STEP_SAMPLES) {
+        s->samples = 0;
+        s->idle = idle && s->idle_before;
+        rs_predicted(s);
+        rs_rebase(s, s->encoder);
+        rs_update(s);
+        rs_locate(s);
+        if (!rs_read(s)) {
             rigtool_sensor_init(s);
-            break;
+            return &s->reading;
         }
+        rs_ahead(s);
     }
+    s->samples += RS_DIVIDED;
+    torque = rs_drive(s, &viscous);
+    rs_advance(s, torque, viscous);
+#if RS_DIVIDED > 1 /* then behind the count that was read now */
+    s->current = s->last.current;
+    s->temperature = s->last.temperature;
+    s->limited = s->last_limited;
+    idle = RS_MATH(fabs)(s->current) <= rs_model.no_current;
+    for (part = 1; part < RS_DIVIDED; part++) {
+        torque = rs_drive(s, &viscous);
+        rs_advance(s, torque, viscous);
+    }
+#endif
+    s->temperature_before = s->temperature;
+    s->limited_before = s->limited;
+    s->idle_before = idle;
     return &s->reading;
 }
 
