@@ -129,7 +129,8 @@ struct rs_model {
     int32_t lowest, highest; /* counts */
     /* the reading: low-pass q' = A q + B M, y = C q + D M, and u^2 = (c s)^2 + (g y)^2 of its
      * deviation s, by state, and while the rotor creeps; the ripple's variance is added */
-    rs_real low_pass[RS_ORDER + 1][RS_ORDER + 1], scales[RS_KINDS][2], coverage;
+    rs_real low_pass[RS_ORDER + 1][RS_ORDER + 1], settled[RS_ORDER], scales[RS_KINDS][2], coverage;
+    rs_real no_current, held_variance; /* a rotor that rests without a current */
 };
 
 @DATA@
@@ -158,6 +159,8 @@ struct rigtool_sensor {
     rs_real ripple, late, direction, step_sum, slow_sum, spread, outer_spread;
     int step_left, slow_left; /* steps at the level of a step, of a slow change */
     int32_t base; /* count that the angles are from */
+    int32_t counted; /* by the step before */
+    int idle, idle_before; /* whether there is no current */
     rs_real turn; /* of the output at this count, in turns */
     rs_real at, sine, cosine; /* of the output at the begin of the step */
     int begun, samples, creeps;
@@ -707,8 +710,9 @@ static inline void rs_update(struct rigtool_sensor *s)
     s->slow_sum = m->long_kept * s->slow_sum + found * m->step_time;
     if (RS_MATH(fabs)(s->step_sum) > m->step_threshold)
         s->step_left = RS_BUSY_STEPS;
-    if (RS_MATH(fabs)(s->slow_sum) > m->slow_threshold)
-        s->slow_left = RS_BUSY_STEPS;
+    if (RS_MATH(fabs)(s->slow_sum) > m->slow_threshold || (s->encoder != s->counted && s->idle))
+        s->slow_left = RS_BUSY_STEPS; /* what moves a motor without current is the torque */
+    s->counted = s->encoder;
 }
 
 /* -- ripple that the amplifier draws at a power-up --------------------------------------------- */
@@ -1102,6 +1106,8 @@ static inline int rs_read(struct rigtool_sensor *s)
     now->torque = torque;
     i = now->state <= RIGTOOL_SENSOR_WITH && s->creeps ? RS_CREEPING : (int)now->state;
     scales = rs_model.scales[i];
+    if (now->state == RIGTOOL_SENSOR_STILL && s->idle)
+        other += rs_model.held_variance; /* whatever friction may hold */
     now->u = RS_MATH(sqrt)(
         rs_square(scales[0]) * variance + rs_square(scales[1] * torque) + other);
     half = rs_model.coverage * now->u;
@@ -1125,7 +1131,7 @@ static inline void rs_begin(struct rigtool_sensor *s)
 {
     const struct rs_model *m = &rs_model;
     const rs_real stretch = m->torque_start / m->stiffness, held = (rs_real)0.999;
-    int i;
+    int i, j;
     rs_rebase(s, s->encoder);
     for (i = 0; i < RS_STATES; i++) {
         s->x[i] = 0;
@@ -1139,6 +1145,14 @@ static inline void rs_begin(struct rigtool_sensor *s)
     s->d[RS_GRASPER] = rs_square(stretch) * (1 - held * held);
     s->d[RS_TORQUE] = rs_square(m->torque_start);
     s->u[RS_GRASPER][RS_TORQUE] = -held / m->stiffness;
+    for (i = 0; i < RS_ORDER; i++) { /* the torque has always been behind the low-pass */
+        const rs_real shared = m->settled[i] * s->d[RS_TORQUE];
+        s->u[RS_TORQUE][RS_STATES + i] = shared;
+        s->u[RS_GRASPER][RS_STATES + i] = -held / m->stiffness * shared;
+        for (j = 0; j < RS_ORDER; j++)
+            s->own[i][j] = shared * m->settled[j];
+    }
+    s->counted = s->encoder;
     s->d[RS_NOISE] = rs_square(m->friction_noise);
     s->d[RS_SINE] = s->d[RS_COSINE] = rs_square(m->stroke);
     s->d[RS_LOAD] = rs_square(m->load_stroke);
@@ -1180,7 +1194,10 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
     struct rigtool_sensor *s, struct rigtool_sensor_sample sample)
 {
     rs_real torque, viscous;
-    int limited = RS_MATH(fabs)(sample.current) >= rs_model.current_limit;
+    int limited = RS_MATH(fabs)(sample.current) >= rs_model.current_limit, idle;
+#if RS_DIVIDED > 1
+    int part;
+#endif
     s->reading.fresh = 0;
     if (!rs_finite(sample.current + sample.temperature)) {
         rigtool_sensor_init(s);
@@ -1205,8 +1222,10 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
     s->temperature *= (rs_real)1 / RS_AVERAGED;
     if (!s->begun)
         rs_begin(s);
+    idle = RS_MATH(fabs)(s->current) <= rs_model.no_current;
     if (s->samples == RS_STEP_SAMPLES) {
         s->samples = 0;
+        s->idle = idle && s->idle_before;
         rs_predicted(s);
         rs_rebase(s, s->encoder);
         rs_update(s);
@@ -1217,11 +1236,22 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
         }
         rs_ahead(s);
     }
-    s->samples++;
+    s->samples += RS_DIVIDED;
     torque = rs_drive(s, &viscous);
     rs_advance(s, torque, viscous);
+#if RS_DIVIDED > 1 /* then behind the count that was read now */
+    s->current = s->last.current;
+    s->temperature = s->last.temperature;
+    s->limited = s->last_limited;
+    idle = RS_MATH(fabs)(s->current) <= rs_model.no_current;
+    for (part = 1; part < RS_DIVIDED; part++) {
+        torque = rs_drive(s, &viscous);
+        rs_advance(s, torque, viscous);
+    }
+#endif
     s->temperature_before = s->temperature;
     s->limited_before = s->limited;
+    s->idle_before = idle;
     return &s->reading;
 }
 

@@ -17,6 +17,7 @@ import numpy as np
 from rigtool.experiments.deploy.c_header import comment
 from rigtool.experiments.force_filter import kalman, motion_states, passed
 from rigtool.experiments.force_model.drive import VISCOUS
+from rigtool.experiments.force_model.steps import LONGEST_EXACT, NO_CURRENT
 from rigtool.experiments.force_sensor import power_up, shown_ripple
 from rigtool.experiments.force_sensor.sensor import AT_THE_LIMIT, SensorProperties
 from rigtool.numerics.arrays import Array
@@ -43,10 +44,10 @@ def sensor_header(
     asymmetry, and numbers that are not finite.
     """
     grid, model = instrument.grid, instrument.model
-    if grid.divided > 1:
+    if not grid.immediate:
         raise ValueError(
-            f"a loop of {1 / instrument.interval:.4g} Hz is slower than the equations, "
-            f"{1 / grid.sample_time:.4g} Hz"
+            f"angles between the samples of a loop of {1 / instrument.interval:.4g} Hz come from "
+            f"later ones, above {1 / LONGEST_EXACT:.0f} Hz they do not"
         )
     plant = model.plant(grid.sample_time)
     if plant.grasper_inertia <= 0 or plant.asymmetry != 0:
@@ -56,6 +57,7 @@ def sensor_header(
         )
     steps = {
         "AVERAGED": grid.averaged,
+        "DIVIDED": grid.divided,
         "STEP_SAMPLES": grid.step_samples,
         "STILL_STEPS": _within(motion_states.STILL_TIME, grid.step_time),
         "LIMIT_STEPS": _within(motion_states.LIMIT_TIME, grid.step_time),
@@ -217,8 +219,11 @@ def _states(instrument: SensorProperties) -> dict[str, Number]:
 def _reading(instrument: SensorProperties, coverage_factor: float) -> dict[str, Number]:
     return {
         "low_pass": passed.section(instrument.corner_hz, instrument.grid.step_time),
+        "settled": passed.settled(passed.section(instrument.corner_hz, instrument.grid.step_time)),
         "scales": instrument.model.scales[1],
         "coverage": coverage_factor,
+        "no_current": NO_CURRENT,
+        "held_variance": instrument.held_variance,
     }
 
 

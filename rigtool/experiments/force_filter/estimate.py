@@ -24,7 +24,7 @@ from rigtool.experiments.force_filter.highest import highest
 from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_filter.linear import ROW_LENGTH
 from rigtool.experiments.force_filter.plant import STATES, TORQUE, Plant, as_record
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, Mask
 
 PIECE_STEPS = 8192
 """Steps that are filtered at a time where the smoother keeps what the filter did."""
@@ -43,13 +43,15 @@ class Signals:
 
     `drive_torque` (n,) is what current and position give [N m], `viscous` (n,) the bearings'
     viscous friction [N m s/rad], `low` (n,) the lower edge of the count that the angle is in [rad],
-    and `width` that of a count [rad].
+    and `width` that of a count [rad]. `idle` (n,) is where the motor has no current, nowhere by
+    default.
     """
 
     drive_torque: Array
     viscous: Array
     low: Array
     width: float
+    idle: Mask | None = None
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,9 @@ class Filter:
             signals = _joined(self._waiting, signals)
         if self._state is None and signals.low.size:
             start = float(signals.low[0])
-            self._state = kalman.begin(self._plant, self._uncertainty, start, signals.width)
+            self._state = kalman.begin(
+                self._plant, self._uncertainty, start, signals.width, self._low_pass
+            )
         size, count = self._size, max(0, (signals.low.size - 1) // self._size)
         self._waiting = _part(signals, count * size, None)
         kept = smoother.room(count, size) if keep else None
@@ -135,6 +139,9 @@ class Filter:
         if self._state is None or not count:
             return found
         torque = signals.drive_torque[: count * size].reshape(count, size)
+        driven = np.ones(count, dtype=np.bool_)
+        if (idle := signals.idle) is not None:
+            driven = ~(idle[size - 1 : count * size : size] & idle[size : count * size + 1 : size])
         kalman.run(
             self._state,
             as_record(self._plant),
@@ -144,6 +151,7 @@ class Filter:
             signals.viscous[: count * size].reshape(count, size),
             low,
             signals.width,
+            driven,
             self._low_pass,
             np.zeros(count) if least is None else np.ascontiguousarray(least[:count]),
             found.states,
@@ -292,6 +300,7 @@ def _part(signals: Signals, first: int, last: int | None) -> Signals:
         signals.viscous[first:last],
         signals.low[first:last],
         signals.width,
+        None if signals.idle is None else signals.idle[first:last],
     )
 
 
@@ -301,4 +310,7 @@ def _joined(before: Signals, after: Signals) -> Signals:
         np.concatenate([before.viscous, after.viscous]),
         np.concatenate([before.low, after.low]),
         after.width,
+        None
+        if before.idle is None or after.idle is None
+        else np.concatenate([before.idle, after.idle]),
     )

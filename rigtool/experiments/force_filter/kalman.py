@@ -6,7 +6,8 @@
     torque       random walk with three levels: a contact is no steady drift, and one level for all
                  would give a load step to the bristles instead. Leaky sums of the corrections d
                  over SHORT and LONG show a step and a slow change: where one exceeds its
-                 threshold, its level holds for `busy_time`.
+                 threshold, its level holds for `busy_time`. A count that passes while the motor has
+                 no current is a slow change, too: what moves the rotor then is the torque.
     reversal     where the housing's bristle crosses -1/2 in the direction of motion, a new stroke
                  begins: its deviations are drawn anew.
 
@@ -80,6 +81,7 @@ STATE = np.dtype(
         ("step_left", "f8"),
         ("slow_sum", "f8"),
         ("slow_left", "f8"),
+        ("low", "f8"),  # of the count that the angle is in
     ]
 )
 
@@ -116,8 +118,11 @@ class Uncertainty:
     edge: float = 0.05
 
 
-def begin(plant: Plant, uncertainty: Uncertainty, low: float, width: float) -> NDArray[np.void]:
-    """Return the filter's state before its first step, (1,); the shaft rests between two edges."""
+def begin(
+    plant: Plant, uncertainty: Uncertainty, low: float, width: float, low_pass: Array
+) -> NDArray[np.void]:
+    """Return the filter's state before its first step, (1,); the shaft rests between two edges, and
+    the torque has been behind the `low_pass` (3, 3) all the time."""
     state = np.zeros(1, dtype=STATE)
     state["mean"][0, ANGLE] = low + width / 2
     state["mean"][0, GRASPER] = (low + width / 2) / plant.angle_ratio
@@ -133,7 +138,9 @@ def begin(plant: Plant, uncertainty: Uncertainty, low: float, width: float) -> N
     # a tendon is stretched by what acts on the output: almost, as the tip's friction holds it
     stretch = -0.999 * deviations[GRASPER] * deviations[TORQUE]
     covariance[GRASPER, TORQUE] = covariance[TORQUE, GRASPER] = stretch
-    state["covariance"][0, :STATES, :STATES] = covariance
+    joint = np.vstack([np.eye(STATES), np.outer(passed.settled(low_pass), np.eye(STATES)[TORQUE])])
+    state["covariance"][0, :, : passed.JOINT_STATES] = joint @ covariance @ joint.T
+    state["low"] = low
     return state
 
 
@@ -270,11 +277,13 @@ def _update(
     width: float,
     span: float,
     memory: tuple[float, float],
+    driven: bool,
     gain: Array,
 ) -> tuple[float, float, float]:
     """Take in that the angle lies in a count; return correction, weight and prior variance.
 
-    `gain` (WIDE,) receives the gain of states and q; of the sums of corrections `memory` remains.
+    `driven` states whether the motor had a current. `gain` (WIDE,) receives the gain of states and
+    q; of the sums of corrections `memory` remains.
     """
     x = s.mean
     variance = rows[_at(ANGLE, ANGLE)] + (u.edge * width) ** 2
@@ -295,8 +304,9 @@ def _update(
     s.slow_sum = memory[1] * s.slow_sum + mean * span
     if abs(s.step_sum) > STEP_THRESHOLD:
         s.step_left = u.busy_time
-    if abs(s.slow_sum) > SLOW_THRESHOLD:
+    if abs(s.slow_sum) > SLOW_THRESHOLD or (low != s.low and not driven):
         s.slow_left = u.busy_time
+    s.low = low
     return mean / deviation, weight, variance
 
 
@@ -310,13 +320,15 @@ def run(
     viscous: Array,
     low: Array,
     width: float,
+    driven: NDArray[np.bool_],
     low_pass: Array,
     least: Array,
     means: Array,
     outputs: Array,
     steps: tuple[Array, ...] | None,
 ) -> None:
-    """Filter m steps; `torque`, `viscous` (m, samples a step), `low` (m,) of the angle after each.
+    """Filter m steps; `torque`, `viscous` (m, samples a step), `low` (m,) of the angle after each,
+    `driven` (m,) whether the motor had a current.
 
     `least` (m,) are the lowest levels of the torque's noise. `means` (m, 12) receive the states
     after each step, `outputs` (m, 9) the torque behind `low_pass` (3, 3), its deviation, the
@@ -354,7 +366,7 @@ def run(
             kept,
             least[k],
         )
-        moved, informed, before = _update(s, u, rows, low[k], width, span, memory, gain)
+        moved, informed, before = _update(s, u, rows, low[k], width, span, memory, driven[k], gain)
         for i in range(STATES):
             means[k, i] = s.mean[i]
         mean, spread = passed.output(s.mean, s.passed, rows, low_pass, shared, 0)

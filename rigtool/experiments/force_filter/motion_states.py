@@ -106,7 +106,8 @@ class Moments:
 
     `low` rad is the lower edge of the angle's count, `speed` rad/s and the deflection of the long
     bristle `housing` are the filter's, `torque` N m is that on the output, positive where it
-    resists positive motion, `limited` where the current is at its limit. All (m,).
+    resists positive motion, `limited` where the current is at its limit, `idle` 1 where there is
+    none. All (m,).
     """
 
     low: Array
@@ -115,6 +116,7 @@ class Moments:
     torque: Array
     temperature_degc: Array
     limited: Array
+    idle: Array
 
     def part(self, first: int, last: int | None = None) -> Moments:
         """Return these from step `first` up to `last`."""
@@ -166,6 +168,12 @@ class Judge:
         sliding = (states == State.AGAINST) | (states == State.WITH)
         slow = np.abs(self._mean_speed(moments.low)) < self.reach.slow
         found: States = np.where(sliding & slow, CREEPING_KIND, states).astype(np.int32)
+        return found
+
+    @staticmethod
+    def held(states: States, moments: Moments) -> NDArray[np.bool_]:
+        """Return where friction alone holds a rotor at rest, (m,): without a current."""
+        found: NDArray[np.bool_] = (states == State.STILL) & (moments.idle == 1)
         return found
 
     def _highest(self, values: Array, span: float) -> Array:

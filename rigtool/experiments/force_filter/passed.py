@@ -35,6 +35,13 @@ def section(corner_hz: float, step_time: float) -> Array:
     return np.block([[change, feed[:, None]], [np.array([1.0, 0.0, low_pass.b0])]])
 
 
+def settled(low_pass: Array) -> Array:
+    """Return the states q (2,) of a `section` behind which a torque of 1 N m has always been."""
+    change, feed = low_pass[:LOW_PASS_ORDER, :LOW_PASS_ORDER], low_pass[:LOW_PASS_ORDER, -1]
+    found = np.linalg.solve(np.eye(LOW_PASS_ORDER) - change, feed)
+    return np.asarray(found, dtype=np.float64)
+
+
 def delay(corner_hz: float) -> float:
     """Return by how much y is late at low frequencies, s."""
     return math.sqrt(2) / (2 * math.pi * corner_hz)

@@ -39,6 +39,9 @@ AT_EACH_SAMPLE = 0.49
 LONGEST_EXACT = 1.5e-3
 """Longest sample of a loop, s, of which each is a step: longer steps miss what bristles do."""
 
+NO_CURRENT = 1e-3
+"""Largest current of a motor that is not driven, A."""
+
 CONTEXT_SAMPLES = 4096
 """Recorded samples on either side from which angles between counts are interpolated."""
 
@@ -63,6 +66,11 @@ class FilterSteps:
     def step_time(self) -> float:
         """Time of a step, s."""
         return self.step_samples * self.sample_time
+
+    @property
+    def immediate(self) -> bool:
+        """Whether no angle comes from later samples."""
+        return self.divided == 1 or self.earlier
 
     @classmethod
     def of(cls, interval: float, loop_time: float) -> FilterSteps:
@@ -153,7 +161,7 @@ class Sampler:
         )
         self._before = min(max(self._context, grid.averaged), end)
         self._held = held[:, end - self._before :].copy()
-        signals = Signals(torque, viscous, low, self._count)
+        signals = Signals(torque, viscous, low, self._count, np.abs(current) <= NO_CURRENT)
         return signals, np.array(others).reshape(len(others), len(low))
 
 

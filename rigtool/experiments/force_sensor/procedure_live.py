@@ -5,6 +5,7 @@ A row is what the table `force` has as its causal columns, digit for digit.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -15,7 +16,7 @@ import numpy as np
 from rigtool.errors import RecipeError
 from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import State
-from rigtool.experiments.force_model.steps import SAMPLE_TIME, unbroken
+from rigtool.experiments.force_model.steps import LONGEST_EXACT, FilterSteps, unbroken
 from rigtool.experiments.force_sensor.procedure_over_time import model_and_reach, over_time
 from rigtool.experiments.force_sensor.procedure_reading import NEEDED_CHANNELS, instrument_of
 from rigtool.experiments.force_sensor.sensor import Sensor
@@ -44,10 +45,10 @@ class LiveForce:
 
     def __init__(self, recipe: Recipe, *, kt: Run, tables: Run, every: int = 1) -> None:
         motion, interval = recipe.measure_force.motion, recipe.rig.sample_time
-        if motion.record_every != 1 or interval > SAMPLE_TIME * (1 + 1e-6):
+        if motion.record_every != 1 or not FilterSteps.of(interval, interval).immediate:
             raise RecipeError(
-                f"force as it comes needs each sample of a loop of {1 / SAMPLE_TIME:g} Hz at "
-                f"least, rig.sample_time = {interval:g} s and measure_force.motion.record_every = "
+                f"force as it comes needs each sample of a loop above {1 / LONGEST_EXACT:.0f} Hz, "
+                f"rig.sample_time = {interval:g} s and measure_force.motion.record_every = "
                 f"{motion.record_every} give fewer: record without it, and read the run"
             )
         model, reach = model_and_reach(tables, kt, recipe)
@@ -56,6 +57,8 @@ class LiveForce:
         self._last = np.zeros(0)
         self._waiting = np.empty((len(NEEDED_CHANNELS), 0))
         self._begin(0.0)
+        # numba is imported now: later the rig moves, and its watchdog waits
+        self._rows(np.zeros((len(NEEDED_CHANNELS) - 1, math.ceil(BATCH_TIME / interval))))
 
     def _begin(self, time: float) -> None:
         self._sensor = Sensor(self._instrument, context=False)

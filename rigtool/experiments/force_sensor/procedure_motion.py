@@ -66,16 +66,18 @@ def path_from_start(recipe: Recipe, seconds: float) -> tuple[float | None, Motio
 def path(time: Array, angle: Array) -> SpeedProfile:
     """Return the motion through angles (n,) at times (n,) s, at rest at both ends.
 
-    A cubic spline, with speeds that run linearly within pieces of it.
+    Monotone between two points (F. N. Fritsch and R. E. Carlson, SIAM J. Numer. Anal. 17(2)
+    238-246, 1980), so that no angle is beyond those; speeds run linearly within pieces of it.
     """
-    from scipy.interpolate import CubicSpline
+    from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
-    spline = CubicSpline(time - time[0], angle, bc_type="clamped")
+    time = time - time[0]
+    slope = PchipInterpolator(time, angle)(time, 1)
+    slope[[0, -1]] = 0.0
     fine = np.interp(
-        np.arange((len(time) - 1) * PATH_PIECES + 1) / PATH_PIECES, np.arange(len(time)), spline.x
+        np.arange((len(time) - 1) * PATH_PIECES + 1) / PATH_PIECES, np.arange(len(time)), time
     )
-    speed = spline(fine, 1)
-    speed[[0, -1]] = 0.0
+    speed = CubicHermiteSpline(time, angle, slope)(fine, 1)
     return SpeedProfile(tuple(fine.tolist()), tuple(speed.tolist()))
 
 
@@ -158,7 +160,7 @@ def require_learned(start: float | None, motion: Motion, reach: Reach, here: flo
     margin = AT_THE_EDGE * (high - low)
     if lowest < low - margin or highest > high + margin:
         raise RecipeError(
-            f"the motion of measure_force.motion covers {lowest:.4g} to "
+            f"the motion of measure_force.motion covers {round(lowest, 6) + 0.0:.4g} to "
             f"{highest:.4g} rad of the motor, the tables were learned from {low:.4g} to "
             f"{high:.4g} rad: move within that, or learn with a larger angle"
         )

@@ -134,7 +134,14 @@ def read_recording(
                 continue
             if stretch is None:
                 began, left = float(block[0, 0]), recording.size - done
-                stretch = Stretch(recording.name, instrument, began, left, workers)
+                stretch = Stretch(
+                    recording.name,
+                    instrument,
+                    began,
+                    left,
+                    workers,
+                    commanded=recording.has("position_setpoint"),
+                )
             done += block.shape[1]
             stretch.add(block[1:])
         if stretch is not None:
@@ -203,14 +210,21 @@ class Stretch:
     """
 
     def __init__(
-        self, name: str, instrument: SensorProperties, began: float, size: int, workers: Executor
+        self,
+        name: str,
+        instrument: SensorProperties,
+        began: float,
+        size: int,
+        workers: Executor,
+        *,
+        commanded: bool = False,
     ) -> None:
         step_time = instrument.grid.step_time
         self._name, self._instrument, self._workers = name, instrument, workers
         self._began = began - instrument.interval / 2
         self._every = steps_of_a_row(step_time, instrument.corner_hz)
         self._sensor = Sensor(instrument)
-        self._watch = SignalWatch(instrument)
+        self._watch = SignalWatch(instrument, commanded=commanded)
         self._again = instrument.again()
         self._smoother = Smoother(instrument.model.uncertainty, step_time)
         self._untouched: Filter | None = None
@@ -292,6 +306,7 @@ class Stretch:
         self._keep("u", deviation)
         self._keep("states", states[first:end])
         self._keep("kinds", judge.kinds(states, part)[first:end])
+        self._keep("held", judge.held(states, part)[first:end])
         self._in_front = min(end, judge.span)
         self._waiting = [waiting.part(end - self._in_front)]
 
@@ -388,6 +403,7 @@ class Stretch:
         ahead *= self._sensor.last_deviation
         deviation[-len(ahead) :] = np.hypot(deviation[-len(ahead) :], ahead)
         kinds, variance = self._taken("kinds")[::every], np.concatenate(variances)
+        variance += instrument.held_variance * self._taken("held")[::every]
         deviation = deviation[::every].astype(float)
         scales = instrument.model.scales[0]
         u = uncertainty_of_kinds(scales, deviation, torque[::every], kinds, variance)
@@ -424,6 +440,7 @@ ESTIMATED_TYPES = {
     "u": np.float32,
     "states": np.int8,
     "kinds": np.int8,
+    "held": np.bool_,
     "causal": np.float64,
     "causal_u": np.float64,
     "causal_states": np.int8,

@@ -50,6 +50,13 @@ class SensorProperties:
         """Samples and steps of the filter."""
         return FilterSteps.of(self.interval, self.loop_time)
 
+    @property
+    def held_variance(self) -> float:
+        """Variance of the torque that friction may hold either way where a rotor rests without a
+        current, N2 m2: that of a rectangle."""
+        plant = self.model.plant(self.grid.sample_time)
+        return (plant.torque_factor * (plant.coulomb + plant.housing_friction)) ** 2 / 3
+
     def limited(self, current: Array) -> NDArray[np.bool_]:
         """Return where a current (n,) A is at its limit."""
         found: NDArray[np.bool_] = np.abs(current) >= AT_THE_LIMIT * self.current_limit
@@ -128,7 +135,7 @@ class Sensor:
             np.array([*known, warm, limited, *others], dtype=np.float64), last=last
         )
         estimate = self._filter.add(signals)
-        found = self._stepper.add(riding)
+        found = self._stepper.add(np.vstack([np.asarray(signals.idle, dtype=np.float64), riding]))
         angle = estimate.low + self._instrument.count / 2
         ripple, variance, less = self.power_up.add(angle, estimate.states, estimate.gains)
         torque = estimate.passed - ripple
@@ -137,14 +144,16 @@ class Sensor:
             estimate.states[:, SPEED],
             estimate.states[:, HOUSING],
             torque,
-            found[0],
             found[1],
+            found[2],
+            found[0],
         )
         states, kinds = self._states(moments)
+        held = self._instrument.held_variance * self._judge.held(states, moments)
         scales = self._instrument.model.scales[1]
-        u = uncertainty_of_kinds(scales, estimate.deviation, torque, kinds, variance)
+        u = uncertainty_of_kinds(scales, estimate.deviation, torque, kinds, variance + held)
         doubt = np.sqrt(variance)
-        return Sensed(estimate, torque, u, moments, states, kinds, found[2:], signals, less, doubt)
+        return Sensed(estimate, torque, u, moments, states, kinds, found[3:], signals, less, doubt)
 
     @property
     def last_deviation(self) -> float:

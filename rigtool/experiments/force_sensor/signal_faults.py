@@ -8,6 +8,11 @@ by friction and by the load, so that the motor's torque changes there by less th
 with friction F, that of the load m, the largest learned torque M and the torque factor n. Where it
 changes by more, the encoder does not count, or something blocks the rotor. Means over `WINDOW_TIME`
 are compared: within it, a torque beyond friction turns a rotor by more than a count.
+
+A motor that moves a rig to and fro works against friction. Over a path L within a range R of
+angles, a load that helps in some of the passes does M R / (2 n) at most on the whole. Where the
+motor's work is below -F L / 2 - M R / (2 n), current and encoder have opposite signs, or a hand
+drives the rig.
 """
 
 from __future__ import annotations
@@ -59,15 +64,21 @@ class SignalFault:
 
 
 class SignalWatch:
-    """Watches samples without a gap; they are added as they come."""
+    """Watches samples without a gap; they are added as they come.
 
-    def __init__(self, instrument: SensorProperties) -> None:
+    Where the rig's own loop moves it, it is `commanded`: nothing else drives it all the time.
+    """
+
+    def __init__(self, instrument: SensorProperties, *, commanded: bool = False) -> None:
         own, reach = instrument, instrument.reach
         plant = own.model.plant(own.grid.sample_time)
         housing = plant.housing_friction * (1 + abs(plant.housing_asymmetry))
         friction = plant.static + housing * float(np.abs(plant.friction_map).max())
         carried = (1 + 2 * plant.load_friction) * reach.torque / plant.torque_factor
         self._held = 2 * friction + carried
+        self._braked = (plant.coulomb + plant.housing_friction) / 2
+        self._helped = reach.torque / plant.torque_factor / 2
+        self._turn, self._commanded = own.count, commanded
         fastest = LARGEST_LEARNED_RATIO * reach.speed * own.interval / own.count
         self._leap = max(LEAP_RATIO * fastest, LEAP_COUNTS)
         self._constant, self._interval = own.torque_constant, own.interval
@@ -95,13 +106,14 @@ class SignalWatch:
             ends = [f(axis=1) for one in (encoder, current) for f in (one.min, one.max)]
             cold, slope = self._constant
             torque = (cold + slope * rows[2].mean(axis=1)) * current.mean(axis=1)
-            self._windows.append(np.array([*ends, torque]))
+            self._windows.append(np.array([*ends, torque, encoder[:, -1] - encoder[:, 0]]))
 
     def faults(self) -> tuple[SignalFault, ...]:
         """Return what was seen so far, in order of time."""
         found = [*self._leaped()]
         if self._windows:
-            low, high, least, most, torque = np.hstack(self._windows)
+            low, high, least, most, torque, moved = np.hstack(self._windows)
+            found += self._opposed(torque, moved * self._turn, float(np.ptp(low)) * self._turn)
             found += self._stopped(low, low == high, torque)
             found += self._frozen(low, high, most, least == most)
         return tuple(sorted(found, key=lambda one: one.start))
@@ -120,6 +132,18 @@ class SignalWatch:
             "added, and angles behind may be off by as many; check the encoder's cable and "
             "supply, and record again",
             True,
+        )
+
+    def _opposed(self, torque: Array, moved: Array, reached: float) -> Iterator[SignalFault]:
+        work, path = float(torque @ moved), float(np.abs(moved).sum())
+        if work >= -self._braked * path - self._helped * reached:
+            return
+        yield SignalFault(
+            *self._times(0, len(torque)),
+            f"the motor brakes wherever the rotor moves, by {-work / path * 1e3:.3g} mN m on the "
+            f"average, and friction by {2e3 * self._braked:.3g} mN m besides: current and encoder "
+            "have opposite signs, or a hand drives the rig; if none does, change one of the signs",
+            self._commanded,
         )
 
     def _stopped(self, count: Array, still: Mask, torque: Array) -> Iterator[SignalFault]:

@@ -38,7 +38,7 @@ from rigtool.numerics.arrays import Array, Mask
 ANGLE_CELLS = 24
 """Parts of the learned angle."""
 
-FEWEST_PASSES, FEWEST_CELLS = 4, 3
+FEWEST_PASSES, FEWEST_CELLS = 2, 3
 """Passes in each direction below which a cell is not compared; cells below which nothing is."""
 
 QUARTILE, NEAR, ALIKE = 0.25, 3.0, 0.4

@@ -13,6 +13,7 @@ from rigtool.experiments.force_filter.motion_states import State
 from tests.experiments.deploy.sensors import (
     COUNTS,
     HOST,
+    INTERVAL,
     REACH,
     STRICT,
     WARM,
@@ -66,8 +67,10 @@ def test_readings_are_those_of_python(libraries, samples, motion):
 
 
 @pytest.mark.compiles
-@pytest.mark.parametrize(("interval", "every"), [(0.5e-3, 4), (100e-6, 1)])
-def test_loops_whose_samples_make_an_odd_number_of_those_of_the_equations(
+@pytest.mark.parametrize(
+    ("interval", "every"), [(0.5e-3, 4), (100e-6, 1), (1e-3, 8), (0.75e-3, 6), (1.375e-3, 11)]
+)
+def test_loops_whose_samples_are_no_even_number_for_each_of_the_equations(
     tmp_path, samples, interval, every
 ):
     own = instrument(interval=interval, loop_time=interval)
@@ -76,6 +79,21 @@ def test_loops_whose_samples_make_an_odd_number_of_those_of_the_equations(
     assert np.isfinite(wanted[:, 0]).mean() > 0.9
     np.testing.assert_array_equal(found[:, 4], wanted[:, 4])
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * RANGE)
+
+
+@pytest.mark.compiles
+def test_a_motor_without_current_is_carried_and_held(libraries, samples):
+    part = samples["free"][:, :24000].copy()
+    part[1, 6000:] = 0.0
+    part[0, 16000:] = part[0, 16000]
+    wanted, found = expected(instrument(), part), read(libraries["double"], part)
+    np.testing.assert_array_equal(found[:, 4], wanted[:, 4])
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * RANGE)
+    held = wanted[:, 4] == State.STILL
+    plant = Model().plant(INTERVAL)
+    friction = plant.torque_factor * (plant.coulomb + plant.housing_friction)
+    assert held[-100:].all()
+    assert (wanted[-100:, 1] > friction / np.sqrt(3)).all()
 
 
 @pytest.mark.parametrize("motion", ["strokes", "free", "rest"])
@@ -189,7 +207,7 @@ def test_states_and_counts_are_those_of_the_model():
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"interval": 1e-3}, "a loop of 1000 Hz is slower than the equations"),
+        ({"interval": 1.5e-3}, "a loop of 666.7 Hz come from later ones, above 667 Hz"),
         ({"torque_constant": (float("nan"), 0.0)}, "constant is nan"),
         ({"current_limit": float("inf")}, "current_limit is inf"),
     ],

@@ -168,3 +168,12 @@ def test_less_than_a_step_gives_nothing():
     assert len(Filter(PLANT, UNCERTAINTY, STEP, BAND).add(few).torque) == 0
     with pytest.raises(ValueError, match="8 samples are less than a step of 8"):
         smoothed(PLANT, UNCERTAINTY, STEP, BAND, few)
+
+
+def test_what_acted_before_the_first_sample_is_not_known():
+    """Behind the low-pass, too: it held an unknown torque, not zero."""
+    count = 20 * STEP
+    rest = Signals(np.zeros(count), np.full(count, 5e-5), np.zeros(count), WIDTH)
+    found = Filter(PLANT, UNCERTAINTY, STEP, 30.0).add(rest)
+    assert found.deviation[0] == pytest.approx(UNCERTAINTY.torque_start, rel=0.7)
+    assert found.deviation[0] >= 0.99 * found.deviation[-1]

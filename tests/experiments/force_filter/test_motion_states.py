@@ -19,7 +19,7 @@ def moments(torque=0.01, scale=1.0):
     housing = np.where(time < 1, 1.0, 2 * np.exp(-path / 0.01) - 1)
     housing[time >= 1] = np.maximum(housing, -1)[time >= 1]
     same = np.ones(3000)
-    return Moments(low, speed, housing, torque * same, 30.0 * same, 0.0 * same)
+    return Moments(low, speed, housing, torque * same, 30.0 * same, 0.0 * same, 0.0 * same)
 
 
 @pytest.mark.parametrize(("causal", "late"), [(False, 0), (True, 50)])

@@ -41,6 +41,15 @@ def test_a_path_passes_through_its_points_and_begins_and_ends_at_rest():
     np.testing.assert_allclose(speed[[0, -1]], 0.0, atol=1e-9)
 
 
+def test_a_path_within_what_was_learned_stays_there():
+    time, angle = np.array([0.0, 2.0, 4.0, 5.0]), np.array([0.0, 2.67, 0.0, 0.0])
+    motion = path(time, angle)
+    position, _, _ = motion.setpoint(np.linspace(0, 5, 5001))
+    assert position.min() > -1e-9
+    assert position.max() < 2.67 * 1.001
+    require_learned(0.0, motion, REACH, 0.0)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -11,9 +11,9 @@ TIME = np.arange(0, 8, INTERVAL)
 NOISE = 0.01 * np.random.default_rng(7).standard_normal(len(TIME))
 
 
-def faults(encoder, current, pieces=(1, 30000, 30001)):
+def faults(encoder, current, pieces=(1, 30000, 30001), **options):
     samples = np.array([encoder, current, np.full(len(TIME), 27.0)])
-    watch = SignalWatch(instrument())
+    watch = SignalWatch(instrument(), **options)
     for piece in np.split(samples, pieces, axis=1):
         watch.add(piece)
     return watch.faults()
@@ -37,6 +37,18 @@ def test_motion_and_rest_under_a_load_that_changes_have_no_fault():
 
 def test_a_hand_that_moves_a_motor_without_current_is_no_fault():
     assert faults(strokes()[0], np.zeros(len(TIME))) == ()
+
+
+@pytest.mark.parametrize("commanded", [True, False])
+@pytest.mark.parametrize("signs", [(-1, 1), (1, -1)])
+def test_current_and_encoder_of_opposite_signs_are_a_fault(signs, commanded):
+    encoder, current = strokes()
+    helped = current - 0.6 * between(0, 2) * np.sign(current)  # by a load, in one stroke
+    assert faults(encoder, 3 * helped, commanded=commanded) == ()
+    (fault,) = faults(signs[0] * encoder, signs[1] * 3 * current, commanded=commanded)
+    assert "opposite signs" in fault.text
+    assert fault.no_value == commanded
+    assert fault.within(TIME[:-200], causal=True).all() == commanded
 
 
 def test_a_dead_encoder_under_a_current_that_grows_has_no_value():
