@@ -29,9 +29,9 @@ STAIRCASE = "staircase"
 
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
     """One recording of all staircases in sequence; the bench clock runs on."""
-    names = ("time", "rotor_angle", "current_setpoint", "current", "force", "temperature")
+    names = ("time", "rotor_angle", "encoder", "current_setpoint", "current", "force")
     every = recipe.calibrate_kt.record_every
-    return (RecordingSpec(STAIRCASE, channels(*names), record_every=every),)
+    return (RecordingSpec(STAIRCASE, channels(*names, "temperature"), record_every=every),)
 
 
 def measure(rig: Rig, recipe: Recipe, recorder: RunWriter) -> None:
@@ -104,6 +104,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe) -> Outcome:
 
 def _plateaus(run: Run, recipe: Recipe) -> Plateaus:
     recording = run.recording(STAIRCASE)
+    count = 2 * np.pi / recipe.rig.encoder_counts
     return plateaus_of_set_point(
         time=recording.read("time"),
         current_setpoint=recording.read("current_setpoint"),
@@ -111,6 +112,8 @@ def _plateaus(run: Run, recipe: Recipe) -> Plateaus:
         force=recording.read("force"),
         temperature=recording.read("temperature"),
         rotor_angle=recording.read("rotor_angle") if recording.has("rotor_angle") else None,
+        position=recording.read("encoder") * count if recording.has("encoder") else None,
+        count=count,
         arm_length=recipe.rig.arm.length,
         settle_time=recipe.calibrate_kt.settle_time,
         gauge_resolution=recipe.rig.arm.gauge_resolution,
