@@ -269,20 +269,19 @@ def _ripple(found: AngleEffects, value: float, slopes: Slopes, *, known: bool) -
     """
     order = np.repeat(np.arange(1, len(found.amplitudes) // 2 + 1), 2)
     carried, left = _carried(slopes) if known else (np.zeros(len(order)), 0.0)
-    square = np.sum((found.amplitudes - carried) ** 2 - found.amplitudes**2) / 2
-    deviation = math.sqrt(max(found.deviation**2 + float(square), 0.0))
-    deviation *= 1 + slopes.friction_share
     square = found.amplitudes**2
+    own = found.deviation**2 + float(np.sum((found.amplitudes - carried) ** 2 - square)) / 2
+    deviation = math.sqrt(max(own, 0.0)) * (1 + slopes.friction_share)
     angle = math.hypot(slopes.deflection, slopes.deflection_u)
-    smeared = float(np.sum(square * (order * angle) ** 2) / max(np.sum(square), 1e-300))
+    turned = float(np.sum(square * (order * angle) ** 2) / max(np.sum(square), 1e-300))
     path = deviation * RIPPLE_PATH_U * slopes.friction_share
-    own = deviation * SMEARED * smeared
+    smear = deviation * SMEARED * turned
     more = math.hypot(deviation, left) - deviation  # of phases that have nothing in common
     rounding = value * slopes.resolution_u
     lines = [
         error_line("scatter", found.deviation_u / value, "1", found.deviation_dof),
         error_line("path of friction", path / value, "1"),
-        error_line("deflection of the arm", math.hypot(own, more, ALIKE * left) / value, "1"),
+        error_line("deflection of the arm", math.hypot(smear, more, ALIKE * left) / value, "1"),
         error_line("gauge resolution", rounding / value, "1"),
     ]
     return combined(deviation / value, "1", lines)
