@@ -88,6 +88,14 @@ def error_line(name: str, u: float, unit: str, dof: float | None = None) -> Comp
     return Component(name, 0.0, unit, u, _finite(dof))
 
 
+def scattered(
+    value: float, unit: str, u: float, dof: float | None = None, name: str = "scatter"
+) -> Quantity:
+    """Return a value whose uncertainty has a single line."""
+    line = error_line(name, u, unit, dof)
+    return Quantity(value, unit, u, line.dof, budget=(line,))
+
+
 def input_line(name: str, source: Quantity, sensitivity: float) -> Component:
     """Return the line of an input that is a quantity itself."""
     u, dof = source.u or 0.0, _finite(source.dof)

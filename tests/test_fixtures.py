@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from rigtool.runfile import open_run
 from tests.cli.test_run_commands import call
 
 FIXTURES = Path(__file__).parent / "fixtures"
@@ -24,7 +25,8 @@ COMMANDS = {
 
 @pytest.fixture(params=COMMANDS)
 def analysed(request, tmp_path, monkeypatch, capsys):
-    """Run the command of a fixture on it; return the fixture's name and the JSON it printed."""
+    """Run the command of a fixture on it; return the fixture's name, the JSON it printed, and the
+    results that it stored."""
     command, *inputs = COMMANDS[request.param]
     output = tmp_path / "again.h5"
     monkeypatch.chdir(FIXTURES)
@@ -32,11 +34,15 @@ def analysed(request, tmp_path, monkeypatch, capsys):
     code, out, err = call(capsys, *line)
     assert code == 0, err
     assert output.exists()
-    return request.param, json.loads(out)
+    with open_run(output) as stored:
+        return request.param, json.loads(out), stored.results
 
 
 def test_results_are_those_stored_beside_the_fixture(analysed):
-    name, printed = analysed
+    name, printed, stored = analysed
+    for result, quantity in stored.items():
+        total = math.hypot(*(line.contribution for line in quantity.budget))
+        assert math.isclose(total, quantity.u or 0.0, rel_tol=1e-9), f"budget of {result}"
     expected = REFERENCES[name]
     assert set(printed["results"]) == set(expected)
     for result, reference in expected.items():

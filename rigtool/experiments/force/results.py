@@ -27,6 +27,7 @@ from rigtool.quantity import (
     difference,
     error_line,
     inherited,
+    scattered,
 )
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Table
@@ -211,7 +212,7 @@ def loads_outcome(
     """Return Table 8 or 9 and the figures of the unloaded cycles, from readings and their rows."""
     unloaded, judged = rows[0], normality(loads[0].values)
     results = {
-        "std_torque_no_load": Quantity(
+        "std_torque_no_load": scattered(
             unloaded.std_torque, "N m", unloaded.std_torque_u, float(unloaded.cycles - 1)
         ),
         **row_results(rows),

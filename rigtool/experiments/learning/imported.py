@@ -36,7 +36,7 @@ from rigtool.experiments.ripple.orders import (
 )
 from rigtool.experiments.torque_per_ampere import Effort, effort_of
 from rigtool.numerics.arrays import Array
-from rigtool.quantity import Quantity
+from rigtool.quantity import Quantity, scattered
 from rigtool.runfile import Run, Table
 
 MAP_POSITIONS = 2000
@@ -250,10 +250,10 @@ def _results(rows: Sequence[_Row], table: LookupTable, effort: Effort) -> dict[s
     """Return ripple, non-repeatable part, and the strongest orders, of the lowest speed."""
     row = rows[int(np.argmin(np.abs(table.speed)))]
     rms, u = row.orders.rms()
-    results = {"learned_rms": Quantity(rms, effort.unit, u, row.dof)}
+    results = {"learned_rms": scattered(rms, effort.unit, u, row.dof)}
     if row.non_repeatable is not None:
         scatter_u = row.non_repeatable / math.sqrt(2 * row.dof)
-        results["non_repeatable_rms"] = Quantity(
+        results["non_repeatable_rms"] = scattered(
             row.non_repeatable, effort.unit, scatter_u, row.dof
         )
     reason = None if row.mean_u is not None else "nothing was repeated"
@@ -261,7 +261,7 @@ def _results(rows: Sequence[_Row], table: LookupTable, effort: Effort) -> dict[s
     results["learned_mean"] = Quantity(row.mean, effort.unit, row.mean_u, dof, reason)
     for order in row.orders.ranked(ORDERS_REPORTED):
         one = row.orders.only(row.orders.order == order)
-        results[f"order_{order}_amplitude"] = Quantity(
+        results[f"order_{order}_amplitude"] = scattered(
             float(one.amplitude[0]), effort.unit, float(one.u[0]), row.dof
         )
     return {**results, **period_results(table)}

@@ -25,7 +25,7 @@ from rigtool.experiments.learning.filters import Learning
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.jackknife import jackknife
 from rigtool.numerics.moves import Moves, at_positions
-from rigtool.quantity import Quantity, error_line
+from rigtool.quantity import Quantity, scattered
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,8 +171,7 @@ def residual(before: Sequence[Row], after: Sequence[Row]) -> dict[str, Quantity]
 
     def quantity(statistic: Callable[[NDArray[np.intp]], float], unit: str) -> Quantity:
         value, u = jackknife(count, statistic)
-        line = error_line("scatter over the moves", u, unit, count - 1)
-        return Quantity(value, unit, u, count - 1, budget=(line,))
+        return scattered(value, unit, u, count - 1, "scatter over the moves")
 
     if rms(before, np.arange(count)) == 0:
         raise InsufficientDataError(

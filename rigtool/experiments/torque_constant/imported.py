@@ -11,7 +11,6 @@ off by up to 2.7 times as much as the other, but its intervals hold, also those 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -39,7 +38,7 @@ from rigtool.experiments.torque_constant.staircase import (
 )
 from rigtool.experiments.torque_constant.temperature_fit import calibrate
 from rigtool.numerics.arrays import Array
-from rigtool.quantity import REFERENCE_DEGC, Quantity
+from rigtool.quantity import REFERENCE_DEGC, Quantity, combined, error_line
 from rigtool.recipe.commands import CalibrateKt
 from rigtool.runfile import Column, Recording, Run, Table
 
@@ -228,9 +227,12 @@ def _sensor(recording: Recording) -> tuple[Array, float, str]:
 
 def _results(fit: CurrentFit, sensor_u: float, degc: Array | None) -> dict[str, Quantity]:
     def quantity(value: float, u: float) -> Quantity:
-        # Welch-Satterthwaite (GUM G.4.1): what is common to all currents has many degrees.
-        total = math.hypot(u, value * fit.curvature_u, value * sensor_u)
-        return Quantity(value, "N m/A", total, fit.dof * (total / u) ** 4)
+        lines = [
+            error_line("scatter and what the data do not show", u, "N m/A", fit.dof),
+            error_line("curvature of a staircase", value * fit.curvature_u, "N m/A"),
+            error_line("calibration of the sensor", value * sensor_u, "N m/A"),
+        ]
+        return combined(value, "N m/A", lines)
 
     results = {"torque_constant_mean": quantity(fit.constant, fit.constant_u)}
     if fit.reference is not None and fit.coefficient is not None and degc is not None:

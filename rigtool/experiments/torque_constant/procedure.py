@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,6 +18,7 @@ from rigtool.experiments.torque_constant.staircase import (
     pool,
 )
 from rigtool.experiments.torque_constant.temperature_fit import calibrate
+from rigtool.numerics.angle_effects import HIGHEST_ORDER
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.recipe.commands import CalibrateKt
@@ -26,12 +28,16 @@ from rigtool.runfile import RecordingSpec, Run, RunWriter
 
 STAIRCASE = "staircase"
 
+FEWEST_APART = 18
+"""Clampings whose angles, all different, separate orders of a turn from a change with temperature;
+with fewer they leave the temperature coefficient unknown where orders up to 12 occur."""
+
 
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
     """One recording of all staircases in sequence; the bench clock runs on."""
-    names = ("time", "rotor_angle", "current_setpoint", "current", "force", "temperature")
+    names = ("time", "rotor_angle", "encoder", "current_setpoint", "current", "force")
     every = recipe.calibrate_kt.record_every
-    return (RecordingSpec(STAIRCASE, channels(*names), record_every=every),)
+    return (RecordingSpec(STAIRCASE, channels(*names, "temperature"), record_every=every),)
 
 
 def measure(rig: Rig, recipe: Recipe, recorder: RunWriter) -> None:
@@ -63,9 +69,16 @@ def clamping_angles(settings: CalibrateKt) -> Array:
 
     Each temperature has angles at equal distance. The lowest has those of the highest, the second
     that of the second highest and so on, so that no order of the amplifier's ripple can pass for a
-    change with temperature; the others lie between them, to resolve more orders.
+    change with temperature; the others lie between them, to resolve more orders. Where these angles
+    divide the turn into n parts, order n passes for the constant: for n up to `HIGHEST_ORDER`, each
+    clamping has an angle of its own instead, if there are `FEWEST_APART`, each further by the
+    golden section of a turn, so that no order repeats.
     """
     temperatures, positions = len(settings.temperatures_degc), settings.rotor_positions
+    parts, count = positions * ((temperatures + 1) // 2), positions * temperatures
+    if parts <= HIGHEST_ORDER and count >= FEWEST_APART:
+        golden = np.arange(count).reshape(temperatures, positions) * (math.sqrt(5) - 1) / 2
+        return np.asarray(2 * np.pi * (golden % 1))
     place = np.argsort(np.argsort(settings.temperatures_degc, kind="stable"))
     place = np.minimum(place, temperatures - 1 - place)
     shift = place[:, None] / ((temperatures + 1) // 2)
@@ -104,6 +117,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe) -> Outcome:
 
 def _plateaus(run: Run, recipe: Recipe) -> Plateaus:
     recording = run.recording(STAIRCASE)
+    count = 2 * np.pi / recipe.rig.encoder_counts
     return plateaus_of_set_point(
         time=recording.read("time"),
         current_setpoint=recording.read("current_setpoint"),
@@ -111,6 +125,8 @@ def _plateaus(run: Run, recipe: Recipe) -> Plateaus:
         force=recording.read("force"),
         temperature=recording.read("temperature"),
         rotor_angle=recording.read("rotor_angle") if recording.has("rotor_angle") else None,
+        position=recording.read("encoder") * count if recording.has("encoder") else None,
+        count=count,
         arm_length=recipe.rig.arm.length,
         settle_time=recipe.calibrate_kt.settle_time,
         gauge_resolution=recipe.rig.arm.gauge_resolution,

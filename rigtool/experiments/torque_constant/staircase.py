@@ -35,6 +35,7 @@ class Plateaus:
 
     `current_setpoint` and `current` in A, `torque` in N m, `temperature` in degC, `rotor_angle` in
     rad (NaN where unknown), `begin` and `end` in s; `staircase` numbers the staircases from 0.
+    `position` in rad is the rotor's as it gives way (NaN where unknown), in steps of `count`.
     `course` (n, COURSE) in N m is the torque over the whole stretch, its settling included, as
     means over equal parts of its time. `resolution` in N m is that of the gauge's readings, `noise`
     in N m the scatter of a reading from one to the next, `readings` their number in the stretch.
@@ -45,6 +46,8 @@ class Plateaus:
     torque: Array
     temperature: Array
     rotor_angle: Array
+    position: Array
+    count: Array
     begin: Array
     end: Array
     staircase: NDArray[np.int64]
@@ -65,10 +68,13 @@ def plateaus_of_set_point(
     arm_length: float,
     settle_time: float,
     gauge_resolution: float = 0.0,
+    position: ArrayLike | None = None,
+    count: float = 0.0,
 ) -> Plateaus:
     """Find the plateaus of all staircases in a recording, from the set point itself.
 
-    All signals (n,) in SI units, temperature in degC; `arm_length` in m; the first `settle_time`
+    All signals (n,) in SI units, temperature in degC, `position` of the rotor while the arm gives
+    way, where that is known, in steps of `count`; `arm_length` in m; the first `settle_time`
     seconds of each plateau are left out. The gauge resolves `gauge_resolution` in N, or more
     coarsely where its readings show it. A gap in time or another rotor angle starts a new
     staircase. Raises `InsufficientDataError` where the set point is no staircase.
@@ -117,6 +123,12 @@ def plateaus_of_set_point(
         torque=mean(newton) * arm_length,
         temperature=mean(degc),
         rotor_angle=mean(angle) if rotor_angle is not None else np.full(keep.sum(), np.nan),
+        position=(
+            mean(np.asarray(position, dtype=np.float64))
+            if position is not None
+            else np.full(keep.sum(), np.nan)
+        ),
+        count=np.full(keep.sum(), count),
         begin=t[starts][keep],
         end=t[ends][keep] + sample,
         staircase=np.unique(staircase, return_inverse=True)[1].astype(np.int64),

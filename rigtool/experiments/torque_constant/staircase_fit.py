@@ -14,6 +14,7 @@ from rigtool.experiments.torque_constant.hypotheses import weigh_hypotheses
 from rigtool.experiments.torque_constant.staircase import Plateaus
 from rigtool.experiments.torque_constant.staircase_levels import (
     branches,
+    deflection,
     hysteresis,
     lines_through,
     straight_slope,
@@ -48,7 +49,8 @@ class Slopes:
     `slope` (m,) in N m/A, `u` (m,) its standard uncertainty from scatter with `dof`; `first` (m,)
     is the slope where the current is small, `first_u` (m,) its standard uncertainty; `zero` (m,) is
     the torque without current, N m; `temperature` (m,) in degC, weighted as the slope weights its
-    plateaus; `rotor_angle` (m,) in rad.
+    plateaus; `rotor_angle` (m,) in rad; `deflection` is the angle by which the arm gives way from
+    zero to the largest current, rad, `deflection_u` its standard uncertainty.
     `heating` is the relative amount by which heat in the winding lowered the slopes on average,
     `heating_u` its standard uncertainty with `heating_dof`; `lasting_heating` 1/A2 is what a
     current lowers the constant by within `HEATING_TIME`, over its square, `lasting_heating_u` its
@@ -66,6 +68,8 @@ class Slopes:
     first: Array
     first_u: Array
     zero: Array
+    deflection: float
+    deflection_u: float
     u: Array
     dof: int
     temperature: Array
@@ -115,6 +119,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     trend_u, _ = _lack_of_fit(stairs, solution, trend)
     require_straight(stairs, solution.slope, solution.u, solution.fit.residual, solution.off_line)
     level, rising, falling = branches(stairs, solution.off_line)
+    bent, bent_u = deflection(stairs)
     difference, hysteresis_u, hysteresis_dof = hysteresis(stairs, solution.off_line)
     return Slopes(
         # Single staircases differ from their mean; what the mean is, all hypotheses say.
@@ -122,6 +127,8 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         first=solution.first,
         first_u=solution.first_u,
         zero=solution.fit.own[:, 1],
+        deflection=bent,
+        deflection_u=bent_u,
         u=solution.u,
         dof=solution.dof,
         temperature=solution.temperature,
@@ -159,7 +166,7 @@ def _about(stairs: Stairs) -> float:
     degc = mean_of(stairs.temperature, stairs.weight)
     if np.ptp(degc) <= SAME_TEMPERATURE:
         return 0.0
-    slope, middle = np.polyfit(degc - degc.mean(), lines_through(stairs), 1).tolist()
+    slope, middle = np.polyfit(degc - degc.mean(), lines_through(stairs, stairs.torque), 1).tolist()
     return float(slope / middle)
 
 

@@ -12,12 +12,28 @@ from rigtool.experiments.torque_constant.staircase import LEVEL_TOLERANCE
 from rigtool.experiments.torque_constant.staircase_model import Stairs, mean_of
 from rigtool.numerics.arrays import Array
 
+DEFLECTION_U = 0.02
+"""Standard uncertainty of the angle by which an arm gives way, where it was not recorded, rad."""
 
-def lines_through(stairs: Stairs) -> Array:
-    """Return the slope of a straight line through each staircase (m,), N m/A."""
+
+def lines_through(stairs: Stairs, values: Array) -> Array:
+    """Return the slope (m,) of a straight line through values (m, p) over current, each over A."""
     off = (stairs.current - mean_of(stairs.current, stairs.weight)[:, None]) * stairs.weight
-    lines: Array = np.sum(off * stairs.torque, axis=1) / np.sum(off**2, axis=1)
+    lines: Array = np.sum(off * values, axis=1) / np.sum(off**2, axis=1)
     return lines
+
+
+def deflection(stairs: Stairs) -> tuple[float, float]:
+    """Return the angle by which the arm gives way from zero to the largest current, rad, and its u:
+    what the rotor's positions lie off a line, and a count of its encoder at both ends. It is zero
+    and uncertain where they are unknown."""
+    if np.any(np.isnan(stairs.position)):
+        return 0.0, DEFLECTION_U
+    line = lines_through(stairs, stairs.position)
+    middle = mean_of(stairs.position, stairs.weight) - line * mean_of(stairs.current, stairs.weight)
+    off = stairs.position - middle[:, None] - line[:, None] * stairs.current
+    square = float(np.sum(stairs.weight * off**2) / np.sum(stairs.weight)) + stairs.count**2 / 6
+    return float(np.mean(line)) * float(np.ptp(stairs.setpoint)), math.sqrt(square)
 
 
 def straight_slope(stairs: Stairs) -> float:

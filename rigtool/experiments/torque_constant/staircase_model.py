@@ -54,6 +54,8 @@ class Stairs:
     end: Array
     weight: Array  # 1, or 0 where a staircase has ended
     rotor_angle: Array  # (m,)
+    position: Array  # of the rotor, (m, p) rad, NaN where unknown
+    count: float  # step of its encoder, rad
     courses: Courses
     last_step: Array  # of the set point, (m, p) A
     resolution: float  # of the gauge's readings, N m
@@ -106,6 +108,8 @@ def arrange(plateaus: Plateaus) -> Stairs:
         end=end,
         weight=weight,
         rotor_angle=plateaus.rotor_angle[first],
+        position=plateaus.position[place],
+        count=float(plateaus.count.max()),
         courses=mean_courses(
             setpoint, torque, plateaus.course[place], end - begin, _course_noise(plateaus)
         ),

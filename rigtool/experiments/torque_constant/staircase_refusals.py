@@ -95,7 +95,7 @@ def require_straight(
 
 def _require_alike(stairs: Stairs, slope_u: Array) -> None:
     """Raise where a staircase has a slope of its own: temperature and ripple change it by less."""
-    lines = lines_through(stairs)
+    lines = lines_through(stairs, stairs.torque)
     usual = float(np.median(lines))
     off = np.abs(lines - usual)
     worst = int(np.argmax(off - SURE * slope_u))

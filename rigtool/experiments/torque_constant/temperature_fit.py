@@ -47,8 +47,9 @@ RIPPLE_PATH_U = 0.4
 """Standard uncertainty of what friction takes of the ripple, relative: its path follows each
 staircase, and of its law only the mean of all is known."""
 
-DEFLECTION_U = 0.02
-"""Standard uncertainty of the angle by which the arm gives way in a staircase, rad."""
+SMEARED = 0.05
+"""Change of the slope of u exp(i a u) over a staircase of u from 0 to 1, in a2: its line of least
+squares has 1 + i a - 0.45 a2, and that from end to end exp(i a)."""
 
 ALIKE = 6**-0.5
 """Root mean square of the part that two patterns of six orders have in common by chance."""
@@ -261,24 +262,26 @@ def _ripple(found: AngleEffects, value: float, slopes: Slopes, *, known: bool) -
     """Return the relative standard deviation of r over a turn.
 
     Friction lowers the slopes by a part `friction_share`, and their deviation by about that part
-    of it: it is added. The arm's deflection d adds in two ways, since the angle changes with the
-    torque within a staircase: k d of the amplitude of order k, and k d of what order k of the
-    torque without current is relative to the largest. The gauge rounds each staircase by its own
-    zero.
+    of it: it is added. The arm's deflection d acts in two ways, since the angle changes with the
+    torque within a staircase: order k of the ripple is turned by k d, its size changes by up to
+    `SMEARED` (k d)2; and order k of the torque without current adds k d of that over the largest
+    current, which is taken off. The gauge rounds each staircase by its own zero.
     """
-    deviation = found.deviation * (1 + slopes.friction_share)
     order = np.repeat(np.arange(1, len(found.amplitudes) // 2 + 1), 2)
+    carried, left = _carried(slopes) if known else (np.zeros(len(order)), 0.0)
     square = found.amplitudes**2
-    bent = float(np.sum(square * (1 + (order * DEFLECTION_U) ** 2)) / max(np.sum(square), 1e-300))
+    own = found.deviation**2 + float(np.sum((found.amplitudes - carried) ** 2 - square)) / 2
+    deviation = math.sqrt(max(own, 0.0)) * (1 + slopes.friction_share)
+    angle = math.hypot(slopes.deflection, slopes.deflection_u)
+    turned = float(np.sum(square * (order * angle) ** 2) / max(np.sum(square), 1e-300))
     path = deviation * RIPPLE_PATH_U * slopes.friction_share
-    own = deviation * (math.sqrt(max(bent, 1.0)) - 1)
-    carried = _carried(slopes) if known else 0.0
-    more = math.hypot(deviation, carried) - deviation  # of phases that have nothing in common
+    smear = deviation * SMEARED * turned
+    more = math.hypot(deviation, left) - deviation  # of phases that have nothing in common
     rounding = value * slopes.resolution_u
     lines = [
         error_line("scatter", found.deviation_u / value, "1", found.deviation_dof),
         error_line("path of friction", path / value, "1"),
-        error_line("deflection of the arm", math.hypot(own, more, ALIKE * carried) / value, "1"),
+        error_line("deflection of the arm", math.hypot(smear, more, ALIKE * left) / value, "1"),
         error_line("gauge resolution", rounding / value, "1"),
     ]
     return combined(deviation / value, "1", lines)
@@ -300,14 +303,18 @@ def _first_ripple(slopes: Slopes) -> Quantity:
     return Quantity(ripple, "1", reason="a size of what single staircases show")
 
 
-def _carried(slopes: Slopes) -> float:
-    """Return the standard deviation of slopes, N m/A, by torque without current that changes with
-    the angle, which the arm's deflection changes with the torque."""
+def _carried(slopes: Slopes) -> tuple[Array, float]:
+    """Return amplitudes (2 K,) of slopes, N m/A, by torque without current that changes with the
+    angle, which the arm's deflection changes with the torque; and the standard deviation over a
+    turn of what stays unknown of these."""
     noise = np.full(len(slopes.zero), max(float(np.ptp(slopes.zero)), 1e-12) / SMALLEST_PART)
     zero = fit_angle_effects(np.ones((len(noise), 1)), slopes.zero, noise, slopes.rotor_angle)
-    order = np.repeat(np.arange(1, len(zero.amplitudes) // 2 + 1), 2)
-    rate = math.sqrt(float(np.sum((order * zero.amplitudes) ** 2)) / 2)
-    return rate * DEFLECTION_U / float(np.ptp(slopes.level))
+    cosine, sine = zero.amplitudes.reshape(-1, 2).T
+    order = np.arange(1, len(cosine) + 1)
+    rate = np.stack([order * sine, -order * cosine], axis=1).ravel() / float(np.ptp(slopes.level))
+    size = math.sqrt(float(rate @ rate) / 2)
+    unknown = slopes.deflection * zero.deviation_u / max(zero.deviation, 1e-300)
+    return rate * slopes.deflection, size * math.hypot(slopes.deflection_u, unknown)
 
 
 def _hidden(fit: _Fit) -> float:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -128,7 +129,10 @@ def test_what_the_bench_has_wrong_is_in_the_budget_of_the_tendon(fit, learned):
     )
     rig = rig.model_copy(update={"weights_relative_u": 0.01, "instrument": off})
     force = LearnedForce(ForceModel(learned, CALM), fit, {}, {})
-    found = tendon_results(force, [], np.ones(1), rig)
+    first, *_, last = fit.problem.records
+    pairs = [SimpleNamespace(loaded=one, unloaded=()) for one in (first, last)]
+    found = tendon_results(force, pairs, np.array([1.0, 2.0]), rig)
+    assert {"tendon_stiffness_shift", "tendon_stiffness_resonance"} < set(found)
     relative = {
         name: {line.name: line.u * line.sensitivity / one.value for line in one.budget}
         for name, one in found.items()

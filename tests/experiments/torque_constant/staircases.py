@@ -26,6 +26,7 @@ class Bench:
     saturation: float = 0.002  # relative, 1/A, third order
     amplifier_gain: float = 1.0
     amplifier_offset: float = 1e-3
+    cogging: float = 0.0  # N m, of order 2
     cubic: float = 0.0  # fault of the amplifier, 1/A2
     heating: float = 0.022  # of the winding, K/(A2 s)
     time_constant: float = 29.0
@@ -75,12 +76,16 @@ class Bench:
         constant = self.torque_constant * (1 + self.coefficient * (winding - 20))
         gain = 1 + sum(a * np.cos((k + 1) * angle + k) for k, a in enumerate(self.ripple))
         gain = gain + self.saturation * np.cos(3 * angle) * np.abs(current)
-        drive = constant * current * gain
-        torque = self._arm_torque(drive[per_step - 1 :: per_step], per_step)
+        position = np.zeros(n)
+        for _ in range(3):  # cogging is that where the arm has given way
+            drive = constant * current * gain + self.cogging * np.sin(2 * (angle + position))
+            torque = self._arm_torque(drive[per_step - 1 :: per_step], per_step)
+            position = torque / self.stiffness
         torque = torque + (drive - np.repeat(drive[per_step - 1 :: per_step], per_step))
         return {
             "time": clock + time,
             "rotor_angle": np.full(n, angle),
+            "position": position,
             "current_setpoint": setpoint,
             "current": current + self.current_noise * rng.standard_normal(n),
             "force": torque / self.arm_length + self.force_noise * rng.standard_normal(n),

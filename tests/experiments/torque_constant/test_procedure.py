@@ -15,6 +15,7 @@ from rigtool.experiments.running.session import run_command
 from rigtool.experiments.torque_constant import procedure as calibrate_kt
 from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
 from rigtool.experiments.torque_per_ampere import torque_per_ampere, torque_per_ampere_at
+from rigtool.numerics.angle_effects import fit_angle_effects
 from rigtool.recipe import load_recipe
 from rigtool.recipe.commands import CalibrateKt
 from rigtool.runfile import open_run
@@ -140,6 +141,25 @@ def test_clamping_angles_mirror_about_the_middle_temperature():
     rise = np.arange(7) - 3
     for order in range(1, 40):
         assert_allclose(rise @ np.cos(order * angles).mean(axis=1), 0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("positions", "temperatures"), [(6, 4), (5, 4), (3, 7)])
+def test_no_order_of_the_ripple_passes_for_the_constant(positions, temperatures):
+    """Twelve angles show nothing of order 12, ten of order 10."""
+    degc = np.linspace(20.0, 50.0, temperatures)
+    settings = CalibrateKt(temperatures_degc=tuple(degc), rotor_positions=positions)
+    angle = calibrate_kt.clamping_angles(settings).ravel()
+    assert angle.shape == (positions * temperatures,)
+    rise = np.repeat(degc - 35.0, positions)
+    design = np.column_stack([np.ones(len(angle)), rise])
+    for order in range(1, 13):
+        slope = 0.045 * (1 - 1.2e-3 * rise + 0.005 * np.cos(order * angle))
+        u = np.full(len(angle), 4e-6)
+        found = fit_angle_effects(design, slope + u * np.cos(17 * angle), u, angle)
+        off = np.abs(found.parameters - [0.045, -54e-6])
+        assert np.all(off < 4 * np.sqrt(np.diag(found.covariance))), order
+        assert off[0] < 5e-4 * 0.045
+        assert off[1] < 0.05 * 54e-6
 
 
 def test_a_coarse_gauge_is_in_the_budget_and_a_coarser_one_refused(tmp_path):

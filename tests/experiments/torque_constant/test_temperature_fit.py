@@ -166,10 +166,9 @@ def test_what_the_ripple_is_uncertain_by(thesis):
     amplitudes = np.zeros(24)
     amplitudes[4] = 2e-4  # cosine of order 3
     found = AngleEffects(*([np.zeros(1)] * 4), 2e-4 / np.sqrt(2), 1e-6, 10.0, amplitudes)
-    bare = replace(
-        thesis.slopes, zero=0.0 * thesis.slopes.zero, friction_share=0.0, resolution_u=0.0
-    )
-    deflected = found.deviation * (np.hypot(1, 3 * 0.02) - 1)
+    none = {"friction_share": 0.0, "resolution_u": 0.0, "deflection": 0.0, "deflection_u": 0.02}
+    bare = replace(thesis.slopes, zero=0.0 * thesis.slopes.zero, **none)
+    deflected = found.deviation * 0.05 * (3 * 0.02) ** 2
 
     def of(**changes) -> tuple[float, float, float]:
         ripple = _ripple(found, 0.045, replace(bare, **changes), known=True)
@@ -189,6 +188,32 @@ def test_what_the_ripple_is_uncertain_by(thesis):
     carried = 2e-3 / np.sqrt(2) * 0.02 / np.ptp(bare.level)
     more = np.hypot(found.deviation, carried) - found.deviation
     assert_allclose(u, np.linalg.norm([1e-6, deflected, more, carried / np.sqrt(6)]), rtol=0.02)
+
+
+def test_the_smearing_of_an_order_is_that_of_a_line_of_least_squares():
+    u, a = np.linspace(0, 1, 2001), 0.1
+    line = np.polyfit(u, u * np.exp(1j * a * u), 1)[0]
+    assert_allclose(abs(line), 1 + 0.05 * a**2, atol=1e-5)
+
+
+def test_torque_without_current_is_no_ripple_where_the_rotor_position_is_recorded():
+    # order 2 of 2 mN m, on an arm that gives way by 12 mrad: 2 * 2e-3 * 0.012 / 4 of slope
+    bench = Bench(ripple=(), saturation=0.0, friction=2e-4, cogging=2e-3, force_noise=5e-5)
+    signals = bench.record((20, 50))
+    position = signals.pop("position")
+    hidden = analyse(bench, signals)
+    assert (hidden.slopes.deflection, hidden.slopes.deflection_u) == (0.0, 0.02)
+    hidden = hidden.ripple.value * 0.045
+    assert_allclose(hidden, 2 * 2e-3 * 0.012 / 4 / np.sqrt(2), rtol=0.1)
+    shown = analyse(bench, signals | {"position": position})
+    assert_allclose(shown.slopes.deflection, 4 * 0.0455 / bench.stiffness, rtol=0.02)
+    assert shown.slopes.deflection_u < 1e-4
+    assert shown.ripple.value * 0.045 < 0.15 * hidden
+    step = 2 * np.pi / 500  # larger than the deflection
+    coarse = {"position": np.floor(position / step) * step, "count": step}
+    known = analyse(bench, signals | coarse).slopes
+    assert abs(known.deflection - shown.slopes.deflection) < 2 * known.deflection_u
+    assert known.deflection_u >= step / np.sqrt(6)
 
 
 def test_ripple_below_the_scatter_of_a_staircase_has_no_uncertainty():

@@ -13,7 +13,7 @@ from rigtool.experiments.learning.learned_table import LearnedTable
 from rigtool.experiments.learning.rows import Row
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array
-from rigtool.quantity import Quantity
+from rigtool.quantity import Quantity, scattered
 from rigtool.runfile import Column, Table, dof_column
 
 NO_PATTERN = "the table holds no pattern above its noise"
@@ -40,7 +40,7 @@ def _results(found: TableHealth, counts: int, dof: float) -> dict[str, Quantity]
     def quantity(estimate: HealthChange | None, unit: str, factor: float = 1.0) -> Quantity:
         if estimate is None:
             return Quantity(math.nan, unit, reason=NO_PATTERN)
-        return Quantity(estimate.value * factor, unit, estimate.u * factor, dof)
+        return scattered(estimate.value * factor, unit, estimate.u * factor, dof)
 
     per_count = counts / (2 * math.pi)
     results = {
@@ -53,7 +53,7 @@ def _results(found: TableHealth, counts: int, dof: float) -> dict[str, Quantity]
         "mismatch_rms": Quantity(found.mismatch, "N m", reason=BOUND_DESCRIPTION),
         "pattern_mismatch_rms": Quantity(found.shape, "N m", reason=BOUND_DESCRIPTION),
         "shifted_mismatch_rms": Quantity(found.shifted, "N m", reason=BOUND_DESCRIPTION),
-        "non_repeatable_rms": Quantity(found.limit, "N m", found.limit / math.sqrt(2 * dof), dof),
+        "non_repeatable_rms": scattered(found.limit, "N m", found.limit / math.sqrt(2 * dof), dof),
     }
     if found.friction is not None:
         results["friction_change"] = quantity(found.friction, "N m")

@@ -35,7 +35,7 @@ from rigtool.experiments.load_disturbance.stored import grid_tables
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import channels, record
 from rigtool.numerics.arrays import Array
-from rigtool.quantity import Quantity
+from rigtool.quantity import Quantity, scattered
 from rigtool.recipe import Recipe
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import Triangle
@@ -224,7 +224,7 @@ def _friction_coefficient(grid: DisturbanceGrid, recipe: Recipe) -> Quantity:
         for values in (grid.friction, grid.friction_u)
     )
     load = float(grid.load[-1])
-    return Quantity(friction / load, "1", u / load)
+    return scattered(friction / load, "1", u / load, name="strokes under known loads")
 
 
 def _left_out(learned: LearnedForce, loads: _KnownLoads, recipe: Recipe) -> Table:

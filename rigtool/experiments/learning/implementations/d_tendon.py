@@ -36,20 +36,25 @@ def tendon_results(
     """Return the tendon's parameters, its stiffness also by the slowest and fastest speed alone.
 
     `speed` (n,) rad/s of the motor is that of each of the `pairs`. The slowest shows the stiffness
-    by the shift of the peak, the fastest by how the load swings.
+    by the shift of the peak, the fastest by how the load swings; what the bench may have wrong
+    counts for each as for all together.
     """
     whole = stored.model_results(learned.model)
     lines = _bench_lines(learned.sliding, rig)
-    results = {}
-    for parameter, name in TENDON.items():
-        found = whole[f"{stored.MODEL_PREFIX}{parameter}"]
+
+    def stated(parameter: str, found: Quantity) -> Quantity:
         number = SLIDING_PARAMETERS.index(parameter)
         off = [
             replace(line, sensitivity=found.value * float(moved[number]) / line.u)
             for line, moved in lines
         ]
         own = error_line("strokes under known loads", found.u or 0.0, found.unit)
-        results[name] = combined(found.value, found.unit, [own, *off])
+        return combined(found.value, found.unit, [own, *off])
+
+    results = {
+        name: stated(parameter, whole[f"{stored.MODEL_PREFIX}{parameter}"])
+        for parameter, name in TENDON.items()
+    }
     if np.ptp(speed):
         for name, own_speed in (("shift", speed.min()), ("resonance", speed.max())):
             own_pairs = [p for p, v in zip(pairs, speed, strict=True) if v == own_speed]
@@ -58,7 +63,7 @@ def tendon_results(
                 [any(r is u for u in used) for r in learned.sliding.problem.records]
             )
             stiffness = stored.shape_results(alone)[f"{stored.MODEL_PREFIX}stiffness"]
-            results[f"tendon_stiffness_{name}"] = stiffness
+            results[f"tendon_stiffness_{name}"] = stated("stiffness", stiffness)
     return results
 
 

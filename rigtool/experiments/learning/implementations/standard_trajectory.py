@@ -31,7 +31,7 @@ from rigtool.experiments.learning.implementations.skeleton import Implementation
 from rigtool.experiments.learning.stored_table import TRAJECTORY_TABLE
 from rigtool.experiments.procedure import channels
 from rigtool.numerics.arrays import Array
-from rigtool.quantity import Quantity
+from rigtool.quantity import combined, error_line, scattered
 from rigtool.recipe import Recipe
 from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import Triangle
@@ -110,14 +110,16 @@ class RepeatedMove(Implementation[TaughtSignal]):
         check = _judge(final, self.learning, len(history))
         if len(history) == 1 or not history[-1].finished:
             history = [*history, check]
-        ratio = check.rms / first.rms
-        relative = math.hypot(check.rms_u / check.rms, first.rms_u / first.rms)
-        dof = float(len(final.error) - 1)
+        ratio, dof = check.rms / first.rms, float(len(final.error) - 1)
+        runs = {"scatter of the first run": first, "scatter of the last run": check}
+        lines = [
+            error_line(name, ratio * one.rms_u / one.rms, "1", dof) for name, one in runs.items()
+        ]
         return LearningReport(
             {
-                "error_peak": Quantity(check.peak, "rad", check.peak_u, dof),
-                "error_rms": Quantity(check.rms, "rad", check.rms_u, dof),
-                "error_reduction": Quantity(1 - ratio, "1", ratio * relative, dof),
+                "error_peak": scattered(check.peak, "rad", check.peak_u, dof),
+                "error_rms": scattered(check.rms, "rad", check.rms_u, dof),
+                "error_reduction": combined(1 - ratio, "1", lines),
             },
             {
                 TRAJECTORY_TABLE: _trajectory(taught, final, self.recipe, self.learning),

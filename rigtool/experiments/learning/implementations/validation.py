@@ -13,7 +13,7 @@ from rigtool.experiments.learning.rows import Row
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.jackknife import standard_uncertainty
-from rigtool.quantity import Quantity
+from rigtool.quantity import Quantity, scattered
 from rigtool.runfile import Column, Table
 
 FALSE_ALARM_PROBABILITY = 0.01
@@ -100,7 +100,9 @@ def _steady_results(
         ]
         if chosen:
             value, u, dof = max(chosen)
-            results[f"validation_peak_{kind}"] = Quantity(value, "N m", u, float(dof))
+            results[f"validation_peak_{kind}"] = scattered(
+                value, "N m", u, dof, "scatter over the moves"
+            )
     return results
 
 

@@ -57,6 +57,7 @@ def thesis(rig):
 def test_the_rig_gives_its_tendon_and_load_friction_back(rig):
     results = rig.learned.results
     assert results["tendon_stiffness"].value == pytest.approx(0.13, rel=0.02)
+    assert all(results[name].budget for name in results if name.startswith(("tendon", "load_f")))
     for name in ("tendon_stiffness_shift", "tendon_stiffness_resonance"):
         found = results[name]
         assert found.value == pytest.approx(0.13, abs=max(0.008, 3 * found.u))
