@@ -204,6 +204,24 @@ def require_unlimited(
     )
 
 
+def require_stable_loop(recipe: Recipe) -> None:
+    """Raise `InsufficientDataError` where the recipe's loop is unstable with the nominal inertia.
+
+    Friction may keep such a loop from running away, but it swings. Raises `RecipeError` for a
+    controller that this rate of samples cannot have.
+    """
+    if position_loop(**recipe.rig.loop_design).stable:
+        return
+    controller = recipe.rig.controller
+    raise InsufficientDataError(
+        f"the position loop is unstable with the nominal inertia "
+        f"{recipe.rig.nominal_inertia:.4g} kg m2: crossover_hz is {controller.crossover_hz:g} Hz, "
+        f"integrator_hz {controller.integrator_hz:g} Hz, at {1 / recipe.rig.sample_time:g} samples "
+        "a second. Friction alone holds it, and it swings: set integrator_hz to a third of "
+        "crossover_hz or less, and crossover_hz below a tenth of the rate"
+    )
+
+
 def usual_current(asked: Array) -> float:
     """Return the size of the mean of current set points (n,) at constant speeds, A."""
     parts = [part.mean() for part in np.array_split(asked, PARTS) if part.size]

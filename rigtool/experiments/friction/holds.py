@@ -1,8 +1,8 @@
 """Mean torque at constant speeds (holds) over whole revolutions, and its uncertainty.
 
-Cogging and the amplifier's ripple repeat with the rotor's angle: over whole revolutions they
-average out [7.1.3]. Noise that varies more slowly than the samples makes the mean of n samples over
-the time T uncertain by
+Cogging and the amplifier's ripple repeat with the rotor's angle: over the angle of whole
+revolutions they average out [7.1.3]. Noise that varies more slowly than the samples makes the mean
+of n samples over the time T uncertain by
 
     u2 = S0/n (1 - (1 - exp(-2 pi K))/(2 pi K)),   S(k) = S0/(1 + (k/K)^2)
 
@@ -41,6 +41,9 @@ SHAKING_TIME = 0.05
 SHAKING_LIMIT = 0.25
 """Relative standard deviation of the speed, from fast torque, above which a hold is left out."""
 
+RIPPLE_ORDERS = 12
+"""Orders of ripple that vary the speed over a turn: the loop, or the inertia, holds higher ones."""
+
 MIN_SAMPLES = 16
 """Smallest number of samples in a hold."""
 
@@ -59,7 +62,8 @@ class Holds:
     `revolutions` counts the whole turns averaged, 0 where there was less than one. `shaking` is
     the standard deviation of speed that the torque's fast part makes, relative to the speed:
     above `SHAKING_LIMIT` the torque belongs to no single speed: the shaft starts and stops, say.
-    `settled` is the time left out at the start, s.
+    `settled` is the time left out at the start, s; `lagging`, N m, is how far ripple that lags
+    behind its angle may shift the torque.
     """
 
     speed: Array
@@ -69,6 +73,7 @@ class Holds:
     revolutions: Array
     shaking: Array
     settled: Array
+    lagging: Array
 
     def __getitem__(self, chosen: Mask | NDArray[np.intp]) -> Holds:
         return Holds(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
@@ -156,7 +161,30 @@ def _hold(
     sample = float(np.median(np.diff(time)))
     shaking = _shaking(kept, sample, inertia) / max(abs(speed), 1e-300)
     left_out = float(time[settled] - time[0])
-    return float(speed), float(np.mean(kept)), u, dof, float(revolutions), shaking, left_out
+    shaft = position if watched is None else position - watched
+    work, lagging = _by_ripple(time[first:], shaft[first:], kept, revolutions)
+    mean = float(np.mean(kept)) + work
+    return float(speed), mean, u, dof, float(revolutions), shaking, left_out, lagging
+
+
+def _by_ripple(time: Array, angle: Array, torque: Array, revolutions: int) -> tuple[float, float]:
+    """Return what to add to the mean torque where ripple varies the speed over a turn.
+
+    Ripple that belongs to the angle does no work in a whole turn, but the shaft is longer where
+    ripple holds it back: the mean over angle, int torque dangle / int dangle, is free of ripple,
+    that over time is not. They differ by the mean of torque times relative speed, order by order;
+    what noise adds has no order. Last, the part of torque and speed in quadrature: as much work as
+    ripple does that lags behind its angle by up to a quarter of a period.
+    """
+    place, turned = (time - time[0]) / (time[-1] - time[0]), angle[-1] - angle[0]
+    if revolutions < 1 or abs(turned) < np.pi:  # a shaft that is not read
+        return 0.0, 0.0
+    highest = min(RIPPLE_ORDERS, (len(angle) - 1) // (4 * revolutions))
+    cycles = np.arange(1, highest + 1) * revolutions
+    wave = np.exp(-2j * np.pi * np.outer(cycles, place[:-1])) * (2 / (len(angle) - 1))
+    speed = 2j * np.pi * cycles * (wave @ ((angle - angle[0]) / turned - place)[:-1])
+    power = (wave @ torque[:-1]) * np.conj(speed) / 2
+    return float(power.real.sum()), float(np.abs(power.imag).sum())
 
 
 def _settling(travel: Array, watched: Array) -> int:

@@ -19,6 +19,7 @@ from rigtool.experiments.between_set_points import (
 from rigtool.experiments.controller_torque import (
     controller_torque,
     naming,
+    require_stable_loop,
     require_unlimited,
     usual_current,
 )
@@ -93,6 +94,7 @@ def analyse(
     `reference`, the ratio of that to the difference of a third run. Raises `UsageError` where a run
     without constant speeds is to be compared.
     """
+    require_stable_loop(recipe)
     recordings = {
         name: [run.recording(name) for run in runs if _has(run, name)]
         for name in (HOLD_RECORDING, *SWEEP_RECORDINGS, BREAKAWAY, BREAKAWAY_LOADED, HOLDS_LOADED)
@@ -116,6 +118,9 @@ def analyse(
         found.tables["holds"] = holds_table(holds)
         offset = separate(fits, holds, [b for b in (unloaded, loaded) if b is not None])
         _note_lacking(UnsampledCurrent.of(runs), holds, found)
+        speed = np.abs(holds.speed)
+        start, slope = np.polynomial.Polynomial.fit(speed, holds.lagging, 1).convert().coef.tolist()
+        found.common["ripple that lags behind its angle"] = abs(start), abs(slope)
         for recording in recordings[HOLDS_LOADED][:1]:
             add_radial_friction(
                 holds,
@@ -141,7 +146,7 @@ def analyse(
     add_static_friction(unloaded, fits, offset, found)
     if unloaded is not None:
         add_breakaway(unloaded, found)
-    if unloaded is not None and loaded is not None:
+    if unloaded is not None and loaded is not None and not unloaded.stuck + loaded.stuck:
         add_radial_breakaway(unloaded, loaded, found, recipe.rig.weights_relative_u)
     if "sweep_viscous" in curves:
         add_flatness(curves["sweep_viscous"], found)
@@ -263,7 +268,7 @@ def _note_lacking(lacking: UnsampledCurrent, holds: Holds, found: Findings) -> N
     worst = int(np.argmax(np.abs(left_out)))
     if not left_out[worst]:
         return
-    found.left_out = lacking.line(found.scale.value)
+    found.common["current between set points"] = lacking.line(found.scale.value)
     limit = UNSAMPLED_LIMIT * float(np.mean(np.abs(holds.torque)))
     text = (
         f"torque between set points differs from that of the samples, most at "
@@ -375,7 +380,14 @@ def _breakaway(
     if not ramps:
         return None, None
     try:
-        return around_turn(ramps, None if pair is None else pair.position), highest
+        series = around_turn(ramps, None if pair is None else pair.position)
     except InsufficientDataError as error:
         found.notes.append(f"{recordings[0].name!r} is without results: {error}")
         return None, highest
+    if series.stuck:
+        found.notes.append(
+            f"{recordings[0].name!r}: the shaft did not break away in {series.stuck} of "
+            f"{len(ramps)} ramps, up to {recipe.stribeck.breakaway_limit * 1e3:.3g} mN m: a mean "
+            "without them would be too low and is not stated; raise stribeck.breakaway_limit"
+        )
+    return series, highest

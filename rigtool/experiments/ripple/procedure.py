@@ -16,15 +16,15 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.between_set_points import unsampled_note
-from rigtool.experiments.controller_torque import naming, require_unlimited, smallest_gain
+from rigtool.experiments.controller_torque import naming, require_stable_loop, require_unlimited
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.ripple.imported import analyse_imported
 from rigtool.experiments.ripple.orders import (
     HIGHEST_ORDER,
-    WAVEFORM_CELLS,
     Ripple,
     Sampling,
+    cells_for,
     compare,
     remove_offset,
 )
@@ -110,7 +110,7 @@ def _spec(
 def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run) -> None:
     """Turn steadily under each condition; the amplifier is restarted between power cycles."""
     del kt  # part of the rig already
-    smallest_gain(recipe)  # refuses a controller that this rate cannot have
+    require_stable_loop(recipe)
     for spec in recordings(recipe):
         conditions = {name: value for name, (value, _) in spec.conditions.items()}
         if conditions.get("power_cycle", 0) > 0:
@@ -135,6 +135,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     """
     if len(runs) > 1:
         raise UsageError(f"{len(runs)} run files: fft-ripple takes one, with all its recordings")
+    require_stable_loop(recipe)
     run = runs[0]
     speeds = sorted(run.recordings_named("speed_"), key=lambda r: r.condition("speed"))
     if not speeds:
@@ -213,7 +214,7 @@ def _collected(recording: Recording, recipe: Recipe, welch: Welch | None) -> _Co
     steady, largest, total = _steady(recording), 0.0, 0.0
     with naming(recording):
         first, last = _ends(recording, "encoder", steady)
-        revolutions = Revolutions(WAVEFORM_CELLS, forward=last > first)
+        revolutions = Revolutions(cells_for(recipe.rig.encoder_counts), forward=last > first)
         for time, encoder, current in recording.blocks(
             "time", "encoder", "current_setpoint", start=steady.start, stop=steady.stop
         ):

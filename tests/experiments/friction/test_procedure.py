@@ -338,7 +338,7 @@ def test_a_note_states_why_holds_are_left_out():
     shaking = 0.1 / np.abs(speed)
     shaking[np.isclose(np.abs(speed), 0.6)] = 0.9
     torque, some = 2e-3 * np.sign(speed) + 5e-5 * speed, np.ones(len(speed))
-    every = holds.Holds(speed, torque, 1e-5 * some, 9 * some, some, shaking, 0 * some)
+    every = holds.Holds(speed, torque, 1e-5 * some, 9 * some, some, shaking, 0 * some, 0 * some)
     _, kept, notes = fit_holds([every], 0.09 / np.abs(speed))
     assert np.abs(kept.speed).min() == 1
     assert len(notes) == 2
