@@ -16,7 +16,12 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.between_set_points import unsampled_note
-from rigtool.experiments.controller_torque import naming, require_stable_loop, require_unlimited
+from rigtool.experiments.controller_torque import (
+    encoder_shaking,
+    naming,
+    require_stable_loop,
+    require_unlimited,
+)
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.ripple.imported import analyse_imported
@@ -64,6 +69,10 @@ MAX_SEGMENT = 4096
 
 LARGEST_FALL = 0.5
 """Largest part of the torque constant that heat may take: ferrite loses a fifth in 100 K."""
+
+SHAKING_LIMIT = 0.5
+"""Relative standard deviation of the speed, by the steps of the encoder, that ripple bears: on two
+drawn rigs no order was off at 0.4, and first orders were by 4 to 10 u at 0.8 to 3."""
 
 MIN_STEADY_SAMPLES = 4
 """Smallest number of samples at constant speed, however few turns they make."""
@@ -177,6 +186,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     notes = [
         heat_note,
         loop_note(recipe, speeds[-1].condition("speed") / (2 * math.pi)),
+        *_shaking_note(recorded, recipe),
         *_resolution_notes(speeds, by_speed, "speed", "rad/s"),
         *_resolution_notes(torques, by_torque, "torque", "N m"),
         *unsampled_note(runs, constants[0].value),
@@ -184,6 +194,21 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     if not comparisons:
         notes.append("fewer than two power cycles: nothing to compare")
     return Outcome(results, tables, tuple(notes))
+
+
+def _shaking_note(recordings: Sequence[Recording], recipe: Recipe) -> list[str]:
+    """Return a note where the encoder's steps shake the speed beyond `SHAKING_LIMIT`."""
+    speed = np.unique([recording.condition("speed") for recording in recordings])
+    shaking = encoder_shaking(recipe, speed)
+    if not (shaken := shaking > SHAKING_LIMIT).any():
+        return []
+    return [
+        f"at {', '.join(f'{v:.3g}' for v in speed[shaken])} rad/s the steps of the encoder, "
+        f"{recipe.rig.encoder_counts} a turn, make the loop vary the speed by up to "
+        f"{shaking.max():.0%} (limit {SHAKING_LIMIT:.0%}): ripple there is that of a shaking "
+        "current, which no uncertainty includes; take an encoder with more counts, a softer "
+        "controller, or turn faster"
+    ]
 
 
 def _resolution_notes(
