@@ -60,6 +60,11 @@ LOWEST_HZ = 0.5
 """Lower end of the band in which the controller's gain counts: slower than any motion."""
 
 
+SPECTRUM_POINTS, EDGE_HARMONICS = 500, 50
+"""Frequencies up to half the rate at which the loop's answer to the encoder is taken, and harmonics
+of the rate of its edges."""
+
+
 @dataclass(frozen=True, eq=False)
 class LoopSignals:
     """Signals of the position loop (n,): `time` s, `setpoint` and `rotor` rad, `encoder` counts.
@@ -202,6 +207,44 @@ def require_unlimited(
         f"the current set point reaches the limit of {limit} A, so the controller saturates "
         f"and the current no longer shows the torque: {remedy}"
     )
+
+
+def require_stable_loop(recipe: Recipe) -> None:
+    """Raise `InsufficientDataError` where the recipe's loop is unstable with the nominal inertia.
+
+    Friction may keep such a loop from running away, but it swings. Raises `RecipeError` for a
+    controller that this rate of samples cannot have.
+    """
+    if position_loop(**recipe.rig.loop_design).stable:
+        return
+    controller = recipe.rig.controller
+    raise InsufficientDataError(
+        f"the position loop is unstable with the nominal inertia "
+        f"{recipe.rig.nominal_inertia:.4g} kg m2: crossover_hz is {controller.crossover_hz:g} Hz, "
+        f"integrator_hz {controller.integrator_hz:g} Hz, at {1 / recipe.rig.sample_time:g} samples "
+        "a second. Friction alone holds it, and it swings: set integrator_hz to a third of "
+        "crossover_hz or less, and crossover_hz below a tenth of the rate"
+    )
+
+
+def encoder_shaking(recipe: Recipe, speed: Array) -> Array:
+    """Return the standard deviation of speed that the encoder's steps make in the loop, relative.
+
+    At speeds (n,), rad/s. The nominal loop follows the steps. To a shaft that turns evenly they are
+    a sawtooth: its harmonics, step/(pi n), are speeds of twice the shaft's own each. Where edges
+    come faster than the loop, they are noise of variance step^2/12, evenly up to half the rate
+    (B. Widrow, I. Kollar, Quantization Noise, 2008). The larger of the two.
+    """
+    rig = recipe.rig
+    answer = position_loop(**rig.loop_design).complementary_sensitivity.response
+    frequency = np.linspace(0, 0.5 / rig.sample_time, SPECTRUM_POINTS)[1:]
+    swing = np.abs(answer(frequency)) * 2 * np.pi * frequency
+    step, way = 2 * np.pi / rig.encoder_counts, np.maximum(np.abs(speed), 1e-300)
+    noise = step * math.sqrt(float(np.mean(swing**2)) / 12) / way
+    edges = np.outer(way / step, np.arange(1, EDGE_HARMONICS + 1))
+    seen = edges < frequency[-1]
+    followed = np.where(seen, np.abs(answer(np.where(seen, edges, 0.0))), 0.0)
+    return np.maximum(noise, np.sqrt(2 * np.sum(followed**2, axis=1)))
 
 
 def usual_current(asked: Array) -> float:

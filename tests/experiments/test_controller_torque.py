@@ -12,6 +12,7 @@ from rigtool.experiments.controller_torque import (
     loop_blocks,
     loop_signals,
     naming,
+    require_stable_loop,
     require_unlimited,
 )
 from rigtool.experiments.procedure import channels
@@ -78,6 +79,26 @@ def test_a_loop_that_shakes_to_the_limit_is_not_told_to_carry_less():
         require_unlimited(limit, recipe, "turn more slowly", 0.3 * limit)
     with pytest.raises(InsufficientDataError, match="so the loop shakes"):
         require_unlimited(limit, recipe, "turn more slowly", 0.06)
+
+
+@pytest.mark.parametrize(
+    ("settings", "stable"),
+    [
+        ((), True),
+        (("rig.controller.crossover_hz=2",), False),
+        (("rig.controller.crossover_hz=2", "rig.controller.integrator_hz=0.6"), True),
+        (("rig.sample_time=1e-3", "rig.controller.crossover_hz=200"), False),
+        (("rig.sample_time=1e-3", "rig.controller.crossover_hz=90"), True),
+    ],
+)
+def test_a_loop_that_friction_alone_holds_is_refused(settings, stable):
+    """An integrator above the crossover; a crossover near the rate. The remedies are stable."""
+    recipe, _ = load_recipe(RECIPE, settings)
+    if stable:
+        require_stable_loop(recipe)
+        return
+    with pytest.raises(InsufficientDataError, match=r"unstable.*crossover_hz is .*integrator_hz"):
+        require_stable_loop(recipe)
 
 
 def test_an_error_names_its_recording():

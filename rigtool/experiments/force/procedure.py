@@ -14,7 +14,7 @@ from operator import attrgetter
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
-from rigtool.experiments.controller_torque import smallest_gain
+from rigtool.experiments.controller_torque import require_stable_loop
 from rigtool.experiments.force.imported import analyse_imported
 from rigtool.experiments.force.procedure_readings import read_load
 from rigtool.experiments.force.results import (
@@ -98,7 +98,7 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run, tables: R
     """Lift and lower each load with the learned table switched on."""
     _require_inputs(recipe, kt, tables)
     require_slow_strokes(recipe, strokes(recipe, 1))
-    smallest_gain(recipe)  # refuses a controller that this rate cannot have
+    require_stable_loop(recipe)
     feedforward = feedforward_from(tables, recipe.rig.nominal_inertia)
     for spec in recordings(recipe):
         motion = strokes(recipe, int(spec.conditions["cycles"][0]))

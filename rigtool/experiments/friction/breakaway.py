@@ -12,7 +12,7 @@ The angle is doubled while the motion is still slow compared with the ramp.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -103,7 +103,8 @@ class Breakaway:
     """Breakaway torques by position (k,) rad, magnitudes in N m, NaN where there is none.
 
     `scatter` is the standard deviation of a single one about the part that repeats around the
-    turn, with `dof` (0: unknown).
+    turn, with `dof` (0: unknown). In `stuck` ramps the shaft did not break away: the means of the
+    others, which are too low, have no uncertainty.
     """
 
     position: Array
@@ -111,6 +112,7 @@ class Breakaway:
     negative: Array
     scatter: float
     dof: float
+    stuck: int = 0
 
     @property
     def level(self) -> TurnMean:
@@ -124,7 +126,8 @@ class Breakaway:
 
     def _mean(self, values: Array) -> TurnMean:
         known = np.isfinite(values)
-        return mean_over_turn(self.position[known], values[known])
+        mean = mean_over_turn(self.position[known], values[known])
+        return replace(mean, u=np.nan) if self.stuck else mean
 
     @property
     def paired(self) -> int:
@@ -147,7 +150,7 @@ def around_turn(ramps: list[TorqueRamp], positions: Array | None = None) -> Brea
 
     Raises `InsufficientDataError` where most ramps do not break away.
     """
-    stuck = sum(np.isnan(ramp.torque) for ramp in ramps)
+    stuck = int(sum(np.isnan(ramp.torque) for ramp in ramps))
     if 2 * stuck >= len(ramps):
         raise InsufficientDataError(
             f"the shaft did not break away in {stuck} of {len(ramps)} ramps: where it stood still, "
@@ -175,7 +178,7 @@ def around_turn(ramps: list[TorqueRamp], positions: Array | None = None) -> Brea
             scatters.append((mean.scatter**2, mean.dof))
             dof += mean.dof
     scatter = float(np.sqrt(sum(s * d for s, d in scatters) / dof)) if dof else np.nan
-    return Breakaway(here, columns[1.0], columns[-1.0], scatter, dof)
+    return Breakaway(here, columns[1.0], columns[-1.0], scatter, dof, stuck)
 
 
 def _positions(ramps: list[TorqueRamp]) -> Array:

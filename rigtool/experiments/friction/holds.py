@@ -1,8 +1,8 @@
 """Mean torque at constant speeds (holds) over whole revolutions, and its uncertainty.
 
-Cogging and the amplifier's ripple repeat with the rotor's angle: over whole revolutions they
-average out [7.1.3]. Noise that varies more slowly than the samples makes the mean of n samples over
-the time T uncertain by
+Cogging and the amplifier's ripple repeat with the rotor's angle: over the angle of whole
+revolutions they average out [7.1.3]. Noise that varies more slowly than the samples makes the mean
+of n samples over the time T uncertain by
 
     u2 = S0/n (1 - (1 - exp(-2 pi K))/(2 pi K)),   S(k) = S0/(1 + (k/K)^2)
 
@@ -41,6 +41,16 @@ SHAKING_TIME = 0.05
 SHAKING_LIMIT = 0.25
 """Relative standard deviation of the speed, from fast torque, above which a hold is left out."""
 
+UNEVEN_LIMIT = 0.12
+"""Relative standard deviation of the speed, as the encoder shows it, above which a hold is left
+out: it smooths a Stribeck curve by some 0.4 of its square."""
+
+UNEVEN_COUNTS, UNEVEN_TIME = 12, 0.02
+"""Counts, and s, over which that speed is taken."""
+
+RIPPLE_ORDERS = 12
+"""Orders of ripple that vary the speed over a turn: the loop, or the inertia, holds higher ones."""
+
 MIN_SAMPLES = 16
 """Smallest number of samples in a hold."""
 
@@ -59,7 +69,9 @@ class Holds:
     `revolutions` counts the whole turns averaged, 0 where there was less than one. `shaking` is
     the standard deviation of speed that the torque's fast part makes, relative to the speed:
     above `SHAKING_LIMIT` the torque belongs to no single speed: the shaft starts and stops, say.
-    `settled` is the time left out at the start, s.
+    `settled` is the time left out at the start, s; `lagging`, N m, is how far ripple that lags
+    behind its angle may shift the torque; `uneven` the relative standard deviation of the
+    speed as the encoder shows it, 0 where its step is not known.
     """
 
     speed: Array
@@ -69,6 +81,8 @@ class Holds:
     revolutions: Array
     shaking: Array
     settled: Array
+    lagging: Array
+    uneven: Array
 
     def __getitem__(self, chosen: Mask | NDArray[np.intp]) -> Holds:
         return Holds(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
@@ -81,15 +95,16 @@ def find_holds(
     torque: ArrayLike,
     setpoint: ArrayLike | None,
     inertia: float,
+    count: float = 0.0,
 ) -> Holds:
     """Average torque over whole revolutions of each constant-speed hold in a recording.
 
     All signals (n,): `time` in s, measured `angle` and its `setpoint` in rad, `torque` in N m.
-    `inertia` on the shaft in kg m2. Holds are where the set point's speed is constant; without a
-    set point the whole recording is one. Settling is left out: with a set point, the samples before
-    the following error stays in its range of the last turn; without one, the samples that make the
-    mean of torque or speed less certain (`_warm_up`). Raises `InsufficientDataError` without a
-    hold.
+    `inertia` on the shaft in kg m2, `count` the encoder's step in rad, 0 if unknown. Holds are
+    where the set point's speed is constant; without a set point the whole recording is one.
+    Settling is left out: with a set point, the samples before the following error stays in its
+    range of the last turn; without one, the samples that make the mean of torque or speed less
+    certain (`_warm_up`). Raises `InsufficientDataError` without a hold.
     """
     t, shaft, effort = require_signals(MIN_SAMPLES, time=time, angle=angle, torque=torque)
     require_rising(t)
@@ -101,7 +116,14 @@ def find_holds(
         stretches = _steady_stretches(t, wanted)
         watched = wanted - shaft
     found = [
-        _hold(t[a:b], wanted[a:b], effort[a:b], None if watched is None else watched[a:b], inertia)
+        _hold(
+            t[a:b],
+            wanted[a:b],
+            effort[a:b],
+            None if watched is None else watched[a:b],
+            inertia,
+            count,
+        )
         for a, b in stretches
         if b - a >= MIN_SAMPLES
     ]
@@ -136,7 +158,12 @@ def _steady_stretches(time: Array, setpoint: Array) -> list[tuple[int, int]]:
 
 
 def _hold(
-    time: Array, position: Array, torque: Array, watched: Array | None, inertia: float
+    time: Array,
+    position: Array,
+    torque: Array,
+    watched: Array | None,
+    inertia: float,
+    count: float,
 ) -> tuple[float, ...] | None:
     """Return the columns of `Holds` for one hold, None where too little of it has settled."""
     travel = np.abs(position - position[-1])
@@ -156,7 +183,44 @@ def _hold(
     sample = float(np.median(np.diff(time)))
     shaking = _shaking(kept, sample, inertia) / max(abs(speed), 1e-300)
     left_out = float(time[settled] - time[0])
-    return float(speed), float(np.mean(kept)), u, dof, float(revolutions), shaking, left_out
+    shaft = position if watched is None else position - watched
+    work, lagging = _by_ripple(time[first:], shaft[first:], kept, revolutions)
+    uneven = _uneven(shaft[first:], speed * sample, sample, count) if count else 0.0
+    turns, mean = float(revolutions), float(np.mean(kept)) + work
+    return float(speed), mean, u, dof, turns, shaking, left_out, lagging, uneven
+
+
+def _uneven(angle: Array, step: float, sample: float, count: float) -> float:
+    """Return the relative standard deviation of the speed; `step` rad is the mean of a `sample`.
+
+    Over as many samples as the shaft needs for `UNEVEN_COUNTS` of the encoder, and `UNEVEN_TIME`;
+    less what its steps, `count` rad, make.
+    """
+    way = max(UNEVEN_COUNTS * count, UNEVEN_TIME / sample * abs(step))
+    width = min(math.ceil(way / max(abs(step), 1e-300)), len(angle) // 2)
+    moved = angle[width:] - angle[:-width]
+    square = float(np.var(moved)) - count**2 / 6
+    return math.sqrt(max(square, 0.0)) / max(abs(step) * width, 1e-300)
+
+
+def _by_ripple(time: Array, angle: Array, torque: Array, revolutions: int) -> tuple[float, float]:
+    """Return what to add to the mean torque where ripple varies the speed over a turn.
+
+    Ripple that belongs to the angle does no work in a whole turn, but the shaft is longer where
+    ripple holds it back: the mean over angle, int torque dangle / int dangle, is free of ripple,
+    that over time is not. They differ by the mean of torque times relative speed, order by order;
+    what noise adds has no order. Last, the part of torque and speed in quadrature: as much work as
+    ripple does that lags behind its angle by up to a quarter of a period.
+    """
+    place, turned = (time - time[0]) / (time[-1] - time[0]), angle[-1] - angle[0]
+    if revolutions < 1 or abs(turned) < np.pi:  # a shaft that is not read
+        return 0.0, 0.0
+    highest = min(RIPPLE_ORDERS, (len(angle) - 1) // (4 * revolutions))
+    cycles = np.arange(1, highest + 1) * revolutions
+    wave = np.exp(-2j * np.pi * np.outer(cycles, place[:-1])) * (2 / (len(angle) - 1))
+    speed = 2j * np.pi * cycles * (wave @ ((angle - angle[0]) / turned - place)[:-1])
+    power = (wave @ torque[:-1]) * np.conj(speed) / 2
+    return float(power.real.sum()), float(np.abs(power.imag).sum())
 
 
 def _settling(travel: Array, watched: Array) -> int:

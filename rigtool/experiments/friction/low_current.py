@@ -1,4 +1,5 @@
-"""Linearity of the amplifier at the small currents that friction takes [6.2.2, Appendix C].
+"""The amplifier at the small currents that friction takes [6.2.2, Appendix C]: its linearity, and
+whether it is the one that was calibrated.
 
 measured current = offset + gain * set point + deviation(set point), by least squares through the
 means of bins of set point. The deviations of a sound amplifier are small against the current that
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
 from rigtool.numerics.checks import require_signals
+from rigtool.quantity import Quantity
 
 SETPOINT_BINS = 60
 """Number of bins of set point."""
@@ -30,6 +32,50 @@ BY_CHANCE = 0.01
 SHAKEN_RATIO = 5.0
 """Set points of this many times the current that friction takes are the loop's answer to the steps
 of the encoder, or to noise: a current that lags behind them is no line over them."""
+
+
+GAIN_PARTS = 64
+"""Parts of the holds whose mean currents show the gain: their scatter is its uncertainty."""
+
+GAIN_LIMIT = 4.0
+"""Multiple of the uncertainties of both gains by which they may differ."""
+
+
+def require_calibrated_gain(
+    *,
+    current_setpoint: ArrayLike,
+    current: ArrayLike,
+    calibrated: Quantity,
+    deviation: float,
+    allowed: float,
+) -> None:
+    """Raise `InsufficientDataError` where the gain of the amplifier is not the calibrated one.
+
+    `current_setpoint` and `current` (n,) in A from holds in both directions; `deviation`, A, is how
+    far the `calibrated` amplifier was off its straight line. A relative change by `allowed` passes,
+    and what scatter of both gains and that deviation may make.
+    """
+    asked, shown = (
+        np.array([part.mean() for part in np.array_split(np.asarray(signal), GAIN_PARTS)])
+        for signal in (current_setpoint, current)
+    )
+    away = asked - asked.mean()
+    power = float(away @ away)
+    if not power > 0:
+        return
+    gain = float(away @ shown) / power
+    left = shown - shown.mean() - gain * away
+    square = float(left @ left) / (GAIN_PARTS - 2) / power
+    bent = deviation / math.sqrt(power / GAIN_PARTS)
+    limit = GAIN_LIMIT * math.sqrt(square + (calibrated.u or 0.0) ** 2 + bent**2)
+    limit += allowed * abs(calibrated.value)
+    if abs(gain - calibrated.value) > limit:
+        raise InsufficientDataError(
+            f"the current changes by {gain:.4g} of its set point, but by {calibrated.value:.4g} in "
+            f"the calibration, limit {limit:.2g} apart: the amplifier, or what reads its current, "
+            "is not the one that was calibrated, and set points no longer show the torque; run "
+            "calibrate-kt again"
+        )
 
 
 def require_linear_at_low_current(

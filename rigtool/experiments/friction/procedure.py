@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from rigtool.errors import RecipeError
+from rigtool.experiments.controller_torque import require_stable_loop
 from rigtool.experiments.friction.imported import analyse_imported
 from rigtool.experiments.friction.procedure_analysis import (
     BREAKAWAY,
@@ -81,6 +82,7 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run) -> None:
 
     Raises `RecipeError` where the ramps would go beyond the limit of current.
     """
+    require_stable_loop(recipe)
     settings = recipe.stribeck
     highest = recipe.rig.torque_constant * recipe.highest_current
     if settings.breakaway_limit > highest:

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from rigtool.control.position_loop import position_loop
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.between_set_points import (
     SET_POINT_REMEDY,
@@ -18,13 +17,18 @@ from rigtool.experiments.between_set_points import (
 )
 from rigtool.experiments.controller_torque import (
     controller_torque,
+    encoder_shaking,
     naming,
+    require_stable_loop,
     require_unlimited,
     usual_current,
 )
 from rigtool.experiments.friction.breakaway import Breakaway, TorqueRamp, around_turn, find_ramps
-from rigtool.experiments.friction.holds import SHAKING_LIMIT, Holds, find_holds, pool
-from rigtool.experiments.friction.low_current import require_linear_at_low_current
+from rigtool.experiments.friction.holds import SHAKING_LIMIT, UNEVEN_LIMIT, Holds, find_holds, pool
+from rigtool.experiments.friction.low_current import (
+    require_calibrated_gain,
+    require_linear_at_low_current,
+)
 from rigtool.experiments.friction.results import (
     Findings,
     Scale,
@@ -58,11 +62,10 @@ from rigtool.runfile import Recording, Run, Table
 NOTED_SHARE = 0.1
 """Part of its limit above which unsampled torque gets a note."""
 
-SATURATED_REMEDY = "lower stribeck.hold_speeds or the load on the shaft"
+AMPLIFIER = ("amplifier_gain", "amplifier_linearity")
+"""Results of calibrate-kt that a run's currents are compared with; imports may have none."""
 
-SPECTRUM_POINTS, EDGE_HARMONICS = 500, 50
-"""Frequencies up to half the rate at which the loop's answer to the encoder is taken, and harmonics
-of the rate of its edges."""
+SATURATED_REMEDY = "lower stribeck.hold_speeds or the load on the shaft"
 
 HOLD_RECORDING = "holds"
 SWEEP_RECORDINGS = ("sweep", "sweep_coulomb", "sweep_viscous")
@@ -72,7 +75,7 @@ BREAKAWAY, BREAKAWAY_LOADED, HOLDS_LOADED = "breakaway", "breakaway_loaded", "ho
 def coulomb_and_viscous(holds: Recording, recipe: Recipe, kt: Run) -> Uncertain:
     """Return Coulomb [N m] and viscous friction [N m s/rad] from holds in both directions."""
     scale = Scale.of(kt, [holds])
-    fits, _, _ = _fit_holds([holds], recipe, scale)
+    fits, _, _ = _fit_holds([holds], recipe, scale, kt)
     return (
         float(np.mean([fit.coulomb[0] for fit in fits.values()])),
         float(np.mean([fit.viscous[0] for fit in fits.values()])),
@@ -93,6 +96,7 @@ def analyse(
     `reference`, the ratio of that to the difference of a third run. Raises `UsageError` where a run
     without constant speeds is to be compared.
     """
+    require_stable_loop(recipe)
     recordings = {
         name: [run.recording(name) for run in runs if _has(run, name)]
         for name in (HOLD_RECORDING, *SWEEP_RECORDINGS, BREAKAWAY, BREAKAWAY_LOADED, HOLDS_LOADED)
@@ -111,11 +115,14 @@ def analyse(
     fits: dict[int, DirectionFit] = {}
     offset = None
     if recordings[HOLD_RECORDING]:
-        fits, holds, notes = _fit_holds(recordings[HOLD_RECORDING], recipe, found.scale)
+        fits, holds, notes = _fit_holds(recordings[HOLD_RECORDING], recipe, found.scale, kt)
         found.notes.extend(notes)
         found.tables["holds"] = holds_table(holds)
         offset = separate(fits, holds, [b for b in (unloaded, loaded) if b is not None])
         _note_lacking(UnsampledCurrent.of(runs), holds, found)
+        speed = np.abs(holds.speed)
+        start, slope = np.polynomial.Polynomial.fit(speed, holds.lagging, 1).convert().coef.tolist()
+        found.common["ripple that lags behind its angle"] = abs(start), abs(slope)
         for recording in recordings[HOLDS_LOADED][:1]:
             add_radial_friction(
                 holds,
@@ -141,7 +148,7 @@ def analyse(
     add_static_friction(unloaded, fits, offset, found)
     if unloaded is not None:
         add_breakaway(unloaded, found)
-    if unloaded is not None and loaded is not None:
+    if unloaded is not None and loaded is not None and not unloaded.stuck + loaded.stuck:
         add_radial_breakaway(unloaded, loaded, found, recipe.rig.weights_relative_u)
     if "sweep_viscous" in curves:
         add_flatness(curves["sweep_viscous"], found)
@@ -172,11 +179,12 @@ def _find_holds(recording: Recording, recipe: Recipe, scale: Scale) -> Holds:
         torque=controller_torque(recording, scale.value),
         setpoint=recording.read("position_setpoint") if followed else None,
         inertia=recipe.rig.nominal_inertia,
+        count=2 * np.pi / recipe.rig.encoder_counts,
     )
     # Twice the variance: both directions are rounded to the same steps and err alike, so that the
     # mean of the two is no better than each.
     step = scale.value * setpoint_resolution(recording, recipe.stribeck.record_every)
-    expected = _encoder_shaking(recipe, found.speed)
+    expected = encoder_shaking(recipe, found.speed)
     return replace(
         found,
         u=np.hypot(found.u, step / math.sqrt(6)),
@@ -184,28 +192,8 @@ def _find_holds(recording: Recording, recipe: Recipe, scale: Scale) -> Holds:
     )
 
 
-def _encoder_shaking(recipe: Recipe, speed: Array) -> Array:
-    """Return the standard deviation of speed that the encoder's steps make in the loop, relative.
-
-    At speeds (n,), rad/s. The nominal loop follows the steps. To a shaft that turns evenly they are
-    a sawtooth: its harmonics, step/(pi n), are speeds of twice the shaft's own each. Where edges
-    come faster than the loop, they are noise of variance step^2/12, evenly up to half the rate
-    (B. Widrow, I. Kollar, Quantization Noise, 2008). The larger of the two.
-    """
-    rig = recipe.rig
-    answer = position_loop(**rig.loop_design).complementary_sensitivity.response
-    frequency = np.linspace(0, 0.5 / rig.sample_time, SPECTRUM_POINTS)[1:]
-    swing = np.abs(answer(frequency)) * 2 * np.pi * frequency
-    step, way = 2 * np.pi / rig.encoder_counts, np.maximum(np.abs(speed), 1e-300)
-    noise = step * math.sqrt(float(np.mean(swing**2)) / 12) / way
-    edges = np.outer(way / step, np.arange(1, EDGE_HARMONICS + 1))
-    seen = edges < frequency[-1]
-    followed = np.where(seen, np.abs(answer(np.where(seen, edges, 0.0))), 0.0)
-    return np.maximum(noise, np.sqrt(2 * np.sum(followed**2, axis=1)))
-
-
 def _fit_holds(
-    recordings: Iterable[Recording], recipe: Recipe, scale: Scale
+    recordings: Iterable[Recording], recipe: Recipe, scale: Scale, kt: Run
 ) -> tuple[dict[int, DirectionFit], Holds, list[str]]:
     """Return the fit by direction (+1, -1), the holds that it rests on, and notes."""
     parts = []
@@ -217,12 +205,22 @@ def _fit_holds(
             currents.append(recording.read("current"))
     every = pool(parts)
     if setpoints:  # before a fit that fails by it
+        asked, shown = np.concatenate(setpoints), np.concatenate(currents)
         require_linear_at_low_current(
-            current_setpoint=np.concatenate(setpoints),
-            current=np.concatenate(currents),
+            current_setpoint=asked,
+            current=shown,
             friction_current=float(np.mean(np.abs(every.torque))) / scale.value,
         )
-    return fit_holds(parts, _encoder_shaking(recipe, every.speed))
+        if all(name in kt.results for name in AMPLIFIER):
+            gain, linearity = (kt.results[name] for name in AMPLIFIER)
+            require_calibrated_gain(
+                current_setpoint=asked,
+                current=shown,
+                calibrated=gain,
+                deviation=linearity.value,
+                allowed=2 * (scale.constant.u or 0.0) / scale.value,
+            )
+    return fit_holds(parts, encoder_shaking(recipe, every.speed))
 
 
 def fit_holds(
@@ -237,17 +235,21 @@ def fit_holds(
     everything = pool(parts)
     shaken, speed = everything.shaking > SHAKING_LIMIT, np.abs(everything.speed)
     stepped = shaken & (2 * np.square(by_steps) > everything.shaking**2)  # most of the variance
+    uneven = everything.uneven > UNEVEN_LIMIT
+    steps = "the encoder's steps shake it; take more counts, or a softer controller"
+    turns = "the loop lets ripple or friction vary it; take a stiffer controller, or turn faster"
     reasons = (
-        (shaken & ~stepped, "the shaft starts and stops, or vibrates"),
-        (stepped, "the encoder's steps shake it; take more counts, or a softer controller"),
+        (shaken & ~stepped, SHAKING_LIMIT, "the shaft starts and stops, or vibrates"),
+        (stepped, SHAKING_LIMIT, steps),
+        (uneven & ~shaken, UNEVEN_LIMIT, turns),
     )
     notes = [
         f"holds left out at {', '.join(f'{v:.3g}' for v in np.unique(speed[chosen].round(3)))} "
-        f"rad/s, where the speed varies by more than {SHAKING_LIMIT:.0%}: {reason}"
-        for chosen, reason in reasons
+        f"rad/s, where the speed varies by more than {limit:.0%}: {reason}"
+        for chosen, limit, reason in reasons
         if chosen.any()
     ]
-    steady = everything[~shaken]
+    steady = everything[~shaken & ~uneven]
     try:
         return fit_directions(steady.speed, steady.torque, steady.u), steady, notes
     except InsufficientDataError as error:
@@ -263,7 +265,7 @@ def _note_lacking(lacking: UnsampledCurrent, holds: Holds, found: Findings) -> N
     worst = int(np.argmax(np.abs(left_out)))
     if not left_out[worst]:
         return
-    found.left_out = lacking.line(found.scale.value)
+    found.common["current between set points"] = lacking.line(found.scale.value)
     limit = UNSAMPLED_LIMIT * float(np.mean(np.abs(holds.torque)))
     text = (
         f"torque between set points differs from that of the samples, most at "
@@ -375,7 +377,14 @@ def _breakaway(
     if not ramps:
         return None, None
     try:
-        return around_turn(ramps, None if pair is None else pair.position), highest
+        series = around_turn(ramps, None if pair is None else pair.position)
     except InsufficientDataError as error:
         found.notes.append(f"{recordings[0].name!r} is without results: {error}")
         return None, highest
+    if series.stuck:
+        found.notes.append(
+            f"{recordings[0].name!r}: the shaft did not break away in {series.stuck} of "
+            f"{len(ramps)} ramps, up to {recipe.stribeck.breakaway_limit * 1e3:.3g} mN m: a mean "
+            "without them would be too low and is not stated; raise stribeck.breakaway_limit"
+        )
+    return series, highest

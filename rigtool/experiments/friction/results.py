@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 
@@ -78,12 +79,12 @@ class Scale:
 class Findings:
     """Results, tables and notes so far.
 
-    `left_out` is the part of Coulomb friction, N m, and of viscous friction, N m s/rad, that the
-    samples miss between set points.
+    `common` are standard uncertainties of Coulomb friction, N m, and of viscous friction,
+    N m s/rad, that both directions share, by their lines in the budget.
     """
 
     scale: Scale
-    left_out: tuple[float, float] = (0.0, 0.0)
+    common: dict[str, tuple[float, float]] = field(default_factory=dict)
     results: dict[str, Quantity] = field(default_factory=dict)
     tables: dict[str, Table] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
@@ -100,9 +101,11 @@ def add_friction(fits: dict[int, DirectionFit], offset: Offset | None, found: Fi
     """Add Coulomb, viscous and Stribeck parameters; `offset` is subtracted from each direction."""
     dof = float(sum(fit.dof for fit in fits.values()))
     coulomb, viscous = ({s: getattr(f, n) for s, f in fits.items()} for n in ("coulomb", "viscous"))
-    coulomb_u, viscous_u = found.left_out
-    _add_directions(found, "coulomb_friction", coulomb, "N m", dof, offset, common_u=coulomb_u)
-    _add_directions(found, "viscous_friction", viscous, "N m s/rad", dof, common_u=viscous_u)
+    names = ("coulomb_friction", coulomb, "N m"), ("viscous_friction", viscous, "N m s/rad")
+    for number, (name, values, unit) in enumerate(names):
+        shared = {line: u[number] for line, u in found.common.items()}
+        shift = None if number else offset
+        _add_directions(found, name, values, unit, dof, shift, common=shared)
     if offset is not None:
         found.add("friction_offset", offset.offset, "N m")
         asymmetry, asymmetry_u = offset.asymmetry
@@ -138,11 +141,11 @@ def _add_directions(
     dof: float | None,
     offset: Offset | None = None,
     by_constant: bool = True,
-    common_u: float = 0.0,
+    common: Mapping[str, float] = MappingProxyType({}),
 ) -> None:
     """Add the mean over directions, and each direction without the offset.
 
-    `common_u` is a standard uncertainty that all of them share.
+    `common` are standard uncertainties that all of them share, by their lines in the budget.
     """
     if not values:
         return
@@ -150,7 +153,7 @@ def _add_directions(
     def state(name: str, value: float, u: float, sign: int | None) -> None:
         lines = [
             error_line(SCATTER_LINE, u, unit, dof),
-            error_line("current between set points", common_u, unit),
+            *(error_line(line, shared, unit) for line, shared in common.items()),
         ]
         if offset is not None and sign is not None:
             value -= sign * offset.offset[0]
@@ -168,7 +171,8 @@ def _add_directions(
 
 def add_breakaway(unloaded: Breakaway, found: Findings) -> None:
     """Add the spread of breakaway torque over positions and directions [7.1.2.1]."""
-    for name, value in (("min", unloaded.lowest), ("max", unloaded.highest)):
+    ends = {"min": unloaded.lowest} | ({} if unloaded.stuck else {"max": unloaded.highest})
+    for name, value in ends.items():
         if unloaded.dof > 0:
             found.add(f"breakaway_torque_{name}", (value, unloaded.scatter), "N m", unloaded.dof)
         else:
@@ -256,7 +260,7 @@ def add_static_friction(
                 total = math.hypot(mean.u, middle.u, u)
                 found.add(f"static_friction_{name}", (value, total), "N m", mean.dof)
         return
-    if unloaded is not None:
+    if unloaded is not None and not unloaded.stuck:
         found.notes.append(
             "breakaway gives no static friction: both directions broke away at "
             f"{unloaded.paired} positions, 2 are needed"

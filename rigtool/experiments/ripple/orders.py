@@ -21,7 +21,7 @@ from rigtool.numerics.arrays import Array, ComplexArray, Mask
 from rigtool.numerics.jackknife import standard_uncertainty
 
 WAVEFORM_CELLS = 500
-"""Cells of a turn in waveforms."""
+"""Cells of a turn in waveforms, about."""
 
 HIGHEST_ORDER = 100
 """Of rotation, in spectra: cogging of 12 slots and 14 poles has order 84."""
@@ -42,6 +42,17 @@ SHIFT_TIE = 0.01
 def cell_centres(positions: int) -> Array:
     """Return the centres of equal cells of a turn (positions,), rad."""
     return (np.arange(float(positions)) + 0.5) * (2 * np.pi / positions)
+
+
+def cells_for(encoder_counts: int) -> int:
+    """Return the number of cells, nearest to `WAVEFORM_CELLS`, in which no multiple of the
+    encoder's counts is an alias of an order of the spectrum: the loop answers to its steps.
+
+    Multiples of c in n cells are aliases of multiples of their greatest common divisor.
+    """
+    numbers = range(2 * HIGHEST_ORDER + 1, 8 * WAVEFORM_CELLS)
+    apart = [n for n in numbers if math.gcd(n, encoder_counts) > HIGHEST_ORDER]
+    return min(apart, key=lambda n: abs(n - WAVEFORM_CELLS), default=WAVEFORM_CELLS)
 
 
 @dataclass(frozen=True)

@@ -16,15 +16,20 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.between_set_points import unsampled_note
-from rigtool.experiments.controller_torque import naming, require_unlimited, smallest_gain
+from rigtool.experiments.controller_torque import (
+    encoder_shaking,
+    naming,
+    require_stable_loop,
+    require_unlimited,
+)
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.ripple.imported import analyse_imported
 from rigtool.experiments.ripple.orders import (
     HIGHEST_ORDER,
-    WAVEFORM_CELLS,
     Ripple,
     Sampling,
+    cells_for,
     compare,
     remove_offset,
 )
@@ -64,6 +69,10 @@ MAX_SEGMENT = 4096
 
 LARGEST_FALL = 0.5
 """Largest part of the torque constant that heat may take: ferrite loses a fifth in 100 K."""
+
+SHAKING_LIMIT = 0.5
+"""Relative standard deviation of the speed, by the steps of the encoder, that ripple bears: on two
+drawn rigs no order was off at 0.4, and first orders were by 4 to 10 u at 0.8 to 3."""
 
 MIN_STEADY_SAMPLES = 4
 """Smallest number of samples at constant speed, however few turns they make."""
@@ -110,7 +119,7 @@ def _spec(
 def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run) -> None:
     """Turn steadily under each condition; the amplifier is restarted between power cycles."""
     del kt  # part of the rig already
-    smallest_gain(recipe)  # refuses a controller that this rate cannot have
+    require_stable_loop(recipe)
     for spec in recordings(recipe):
         conditions = {name: value for name, (value, _) in spec.conditions.items()}
         if conditions.get("power_cycle", 0) > 0:
@@ -135,6 +144,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     """
     if len(runs) > 1:
         raise UsageError(f"{len(runs)} run files: fft-ripple takes one, with all its recordings")
+    require_stable_loop(recipe)
     run = runs[0]
     speeds = sorted(run.recordings_named("speed_"), key=lambda r: r.condition("speed"))
     if not speeds:
@@ -176,6 +186,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     notes = [
         heat_note,
         loop_note(recipe, speeds[-1].condition("speed") / (2 * math.pi)),
+        *_shaking_note(recorded, recipe),
         *_resolution_notes(speeds, by_speed, "speed", "rad/s"),
         *_resolution_notes(torques, by_torque, "torque", "N m"),
         *unsampled_note(runs, constants[0].value),
@@ -183,6 +194,21 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     if not comparisons:
         notes.append("fewer than two power cycles: nothing to compare")
     return Outcome(results, tables, tuple(notes))
+
+
+def _shaking_note(recordings: Sequence[Recording], recipe: Recipe) -> list[str]:
+    """Return a note where the encoder's steps shake the speed beyond `SHAKING_LIMIT`."""
+    speed = np.unique([recording.condition("speed") for recording in recordings])
+    shaking = encoder_shaking(recipe, speed)
+    if not (shaken := shaking > SHAKING_LIMIT).any():
+        return []
+    return [
+        f"at {', '.join(f'{v:.3g}' for v in speed[shaken])} rad/s the steps of the encoder, "
+        f"{recipe.rig.encoder_counts} a turn, make the loop vary the speed by up to "
+        f"{shaking.max():.0%} (limit {SHAKING_LIMIT:.0%}): ripple there is that of a shaking "
+        "current, which no uncertainty includes; take an encoder with more counts, a softer "
+        "controller, or turn faster"
+    ]
 
 
 def _resolution_notes(
@@ -213,7 +239,7 @@ def _collected(recording: Recording, recipe: Recipe, welch: Welch | None) -> _Co
     steady, largest, total = _steady(recording), 0.0, 0.0
     with naming(recording):
         first, last = _ends(recording, "encoder", steady)
-        revolutions = Revolutions(WAVEFORM_CELLS, forward=last > first)
+        revolutions = Revolutions(cells_for(recipe.rig.encoder_counts), forward=last > first)
         for time, encoder, current in recording.blocks(
             "time", "encoder", "current_setpoint", start=steady.start, stop=steady.stop
         ):

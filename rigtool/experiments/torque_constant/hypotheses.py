@@ -55,6 +55,10 @@ finite way, above 1 for ductile ones (Dahl 1968; AIAA J. 14(12) 1675-1682, 1976)
 COARSE, FINE = (16, 6, 3, 5), (7, 4, 5, 4)
 """Values of s, tau, exponent and lag over all of their range, and in each finer grid."""
 
+TAU, ALL_OF_TAU = 1, 11
+"""Place of tau among these, and its values over all of its range in the last grid: hypotheses whose
+friction is less well tried would count against their tau."""
+
 TAU_STEP = math.log(LONGEST_TIME_CONSTANT / SHORTEST_TIME_CONSTANT) / (COARSE[1] - 1) / 2
 """Distance of the values of tau that are tried, logarithm: finer grids add the middles."""
 
@@ -186,10 +190,10 @@ def _search(means: _Means, lag: tuple[float, float] | None, finer: int) -> _Trie
     found: list[_Tried] = []
     for level in range(1 + finer):
         begin, end = np.maximum(centre - half, low), np.minimum(centre + half, high)
-        numbers = [
-            n if e > b else 1
-            for n, b, e in zip(FINE if level else COARSE, begin, end, strict=False)
-        ]
+        counts = list(FINE if level else COARSE)
+        if level and level == finer:
+            begin[TAU], end[TAU], counts[TAU] = low[TAU], high[TAU], ALL_OF_TAU
+        numbers = [n if e > b else 1 for n, b, e in zip(counts, begin, end, strict=False)]
         axes = [np.linspace(b, e, n) for b, e, n in zip(begin, end, numbers, strict=True)]
         step = np.where(end > begin, (end - begin) / np.maximum(np.array(numbers) - 1, 1), 1.0)
         for part in found:  # the finer grid stands for its part of the coarse one

@@ -205,7 +205,7 @@ def _solve(stairs: Stairs, common: Common, coefficient: float, rise: Array) -> _
     own = [stairs.weight, *friction[1:]]
     shared = [stairs.last_step, *friction[:1], *(rise[:, None] * a for a in friction[:1])]
     warmed = _LeastSquares(stairs.torque, [current, current * heat / size, *own], shared)
-    loss, loss_u, loss_dof = _heat_loss(stairs.rotor_angle, warmed.own)
+    loss, loss_u, loss_dof = _heat_loss(stairs, warmed)
     current = current * (1 - loss * heat / size)
     fit = _LeastSquares(stairs.torque, [current, *own], shared)
     lacking, first, first_u = _bend(stairs, fit, current, own, shared)
@@ -270,18 +270,25 @@ class _LeastSquares:
         return response
 
 
-def _heat_loss(rotor_angle: Array, own: Array) -> tuple[float, float, float]:
+def _heat_loss(stairs: Stairs, warmed: _LeastSquares) -> tuple[float, float, float]:
     """Return g of (1), its standard uncertainty, 1/(A2 s), and degrees of freedom.
 
-    `own` (m, c) begins with k and k g of each staircase. At a single rotor angle the uncertainty is
-    unknown, and taken as large as the value. No magnet gains by heat: where g comes out negative,
-    it is 0, and what it would be is part of its uncertainty.
+    The first columns of `warmed` are those of k and k g of each staircase. The uncertainty is that
+    by scatter over the angles, or by lack of fit of the mean staircase, whichever is larger. At a
+    single rotor angle it is unknown, and taken as large as the value. No magnet gains by heat:
+    where g comes out negative, it is 0, and what it would be is part of its uncertainty.
     """
-    mean = mean_over_turn(rotor_angle, -own[:, 1] / own[:, 0])
+    own = warmed.own
+    mean = mean_over_turn(stairs.rotor_angle, -own[:, 1] / own[:, 0])
     loss = max(mean.value, 0.0)
     if mean.dof == 0:
         return loss, abs(mean.value), math.inf
-    return loss, math.hypot(mean.u, mean.value - loss), mean.dof
+    common, used = warmed.residual.mean(axis=0), np.mean(stairs.weight, axis=0) > 0
+    independent = independent_samples(common, used, 1)
+    covariance, dof = long_run_covariance(warmed.design, common, independent)
+    lack = math.sqrt(float(covariance[1, 1])) / abs(float(np.mean(own[:, 0])))
+    u, freedom = (mean.u, mean.dof) if mean.u > lack else (lack, float(dof))
+    return loss, math.hypot(u, mean.value - loss), freedom
 
 
 def _lack_of_fit(stairs: Stairs, solution: _Solution, weight: Array) -> tuple[float, float]:

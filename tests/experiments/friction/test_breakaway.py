@@ -1,6 +1,6 @@
 """Breakaway from slow ramps: a shaft on Dahl contacts, simulated from rest until it runs off."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -100,6 +100,20 @@ def test_a_shaft_that_does_not_move_has_no_breakaway_torque():
     assert np.isnan(found.torque)
     with pytest.raises(InsufficientDataError, match="breakaway_limit"):
         around_turn([found])
+
+
+def test_positions_that_do_not_break_away_leave_no_mean(signals):
+    """What is missing is what is largest: the mean of the others is too low."""
+    ramps = find_ramps(**signals, threshold=0.02)
+    worst = int(np.argmax([ramp.torque for ramp in ramps]))
+    ramps[worst] = replace(ramps[worst], torque=np.nan)
+    found = around_turn(ramps)
+    assert found.stuck == 1
+    assert np.isnan([found.level.u, found.middle.u]).all()
+    results = Findings(Scale(Quantity(0.05, "N m/A", 0.0)))
+    add_breakaway(found, results)
+    add_static_friction(found, {}, None, results)
+    assert set(results.results) == {"breakaway_torque_min"}
 
 
 def test_a_shaft_that_creeps_on_has_no_breakaway_torque():

@@ -9,11 +9,11 @@ from scipy import signal
 
 from rigtool.control.position_loop import position_loop
 from rigtool.errors import InsufficientDataError, RunFileError
+from rigtool.experiments.controller_torque import encoder_shaking
 from rigtool.experiments.friction import holds
 from rigtool.experiments.friction import procedure as stribeck
 from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
 from rigtool.experiments.friction.procedure_analysis import (
-    _encoder_shaking,
     _find_holds,
     fit_holds,
 )
@@ -314,10 +314,10 @@ def test_how_far_the_steps_of_the_encoder_shake_the_shaft():
     recipe = load_recipe(RECIPE, ["rig.encoder_counts=2000"])[0]
     step = 2 * np.pi / 2000
     noise = (np.random.default_rng(1).random(100_000) - 0.5) * step
-    found = _encoder_shaking(recipe, np.array([-20.0]))
+    found = encoder_shaking(recipe, np.array([-20.0]))
     assert found == pytest.approx(speed_by_steps(recipe, noise) / 20, rel=0.03)
     angle = 0.3 * recipe.rig.sample_time * np.arange(100_000)
-    found = _encoder_shaking(recipe, np.array([0.3]))
+    found = encoder_shaking(recipe, np.array([0.3]))
     steps = np.floor(angle / step) * step - angle
     assert found == pytest.approx(speed_by_steps(recipe, steps) / 0.3, rel=0.03)
 
@@ -329,7 +329,7 @@ def test_samples_that_do_not_show_the_shaking_take_what_the_steps_make(measured,
         found = _find_holds(
             stored.recording("holds"), recipe, Scale(Quantity(0.045, "N m/A", 1e-5))
         )
-    assert_allclose(found.shaking, _encoder_shaking(recipe, found.speed))
+    assert_allclose(found.shaking, encoder_shaking(recipe, found.speed))
 
 
 def test_a_note_states_why_holds_are_left_out():
@@ -338,7 +338,7 @@ def test_a_note_states_why_holds_are_left_out():
     shaking = 0.1 / np.abs(speed)
     shaking[np.isclose(np.abs(speed), 0.6)] = 0.9
     torque, some = 2e-3 * np.sign(speed) + 5e-5 * speed, np.ones(len(speed))
-    every = holds.Holds(speed, torque, 1e-5 * some, 9 * some, some, shaking, 0 * some)
+    every = holds.Holds(speed, torque, 1e-5 * some, 9 * some, some, shaking, *[0 * some] * 3)
     _, kept, notes = fit_holds([every], 0.09 / np.abs(speed))
     assert np.abs(kept.speed).min() == 1
     assert len(notes) == 2

@@ -13,7 +13,7 @@ from rigtool.quantity import Quantity
 def holds(speed, torque, u, dof):
     speed = np.array(speed, dtype=float)
     none = np.zeros(len(speed))
-    return Holds(speed, np.array(torque), np.full(len(speed), u), none + dof, none, none, none)
+    return Holds(speed, np.array(torque), np.full(len(speed), u), none + dof, *[none] * 5)
 
 
 def test_growth_is_that_at_equal_speeds_with_the_scatter_of_both():

@@ -9,7 +9,10 @@ from scipy.optimize import curve_fit
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.friction.holds import find_holds, pool
-from rigtool.experiments.friction.low_current import require_linear_at_low_current
+from rigtool.experiments.friction.low_current import (
+    require_calibrated_gain,
+    require_linear_at_low_current,
+)
 from rigtool.experiments.friction.stribeck_fit import (
     fit_direction,
     fit_directions,
@@ -17,6 +20,7 @@ from rigtool.experiments.friction.stribeck_fit import (
     separate_offset,
 )
 from rigtool.experiments.friction.sweep import torque_speed_curve
+from rigtool.quantity import Quantity
 from tests.experiments.friction.turning_motor import COUNT, Motor
 
 SPEEDS = [0.5, 1, 2, 3, 5, 8, 12, 16, 20, 25, 30]
@@ -416,6 +420,31 @@ def test_a_set_point_that_shakes_is_not_blamed_on_the_amplifier():
         require_linear_at_low_current(
             current_setpoint=slow + fast, current=slow + 0.8 * np.tanh(fast), friction_current=0.005
         )
+
+
+@pytest.mark.parametrize(
+    ("gain", "linearity", "passes"),
+    [
+        (1.0, 0.0, True),
+        (1.007, 0.0, True),
+        (1.02, 0.0, False),
+        (0.95, 0.0, False),
+        (0.95, 1.5e-3, True),  # an amplifier that bends by that much may have this slope here
+    ],
+)
+def test_another_amplifier_than_the_calibrated_one_is_refused(gain, linearity, passes):
+    rng = np.random.default_rng(2)
+    # holds in both directions, in which the loop shakes and the current lags
+    asked = np.repeat([0.06, -0.05], 20000)
+    shaking = 0.02 * rng.standard_normal(len(asked))
+    shown = 1e-3 + gain * asked + 0.7 * shaking + 1e-3 * rng.standard_normal(len(asked))
+    signals = {"current_setpoint": asked + shaking, "current": shown, "deviation": linearity}
+    known = {"calibrated": Quantity(1.0, "1", 1e-5), "allowed": 0.01}
+    if passes:
+        require_calibrated_gain(**signals, **known)
+        return
+    with pytest.raises(InsufficientDataError, match=r"but by 1 in the.*calibrate-kt again"):
+        require_calibrated_gain(**signals, **known)
 
 
 def test_count_is_the_encoders():

@@ -14,6 +14,7 @@ from rigtool.experiments.ripple.orders import (
     Sampling,
     Spectrum,
     cell_centres,
+    cells_for,
     compare,
     remove_offset,
     spectrum,
@@ -70,6 +71,22 @@ def test_amplitudes_are_those_of_what_was_sampled(samples, part, averaged, phase
     assert error == pytest.approx(0, abs=0.03)
     assert np.isnan(found.amplitude[int(samples / 2.5) + 1 :]).all()
     assert np.isfinite(found.amplitude[: int(samples / 2.5)]).all()
+
+
+@pytest.mark.parametrize("counts", [200, 720, 1000, 1024, 2012, 2048, 2500, 4000, 4096, 131072])
+def test_steps_of_the_encoder_are_no_orders_of_the_spectrum(counts):
+    """A sawtooth of the encoder's counts has its multiples; in the cells they are aliases."""
+    cells = cells_for(counts)
+    assert 400 <= cells <= 600
+    angle = (np.arange(cells * 64.0) + 0.5) / (cells * 64)
+    harmonics = [np.cos(2 * np.pi * m * counts * angle + m) / m for m in range(1, 6)]
+    means = np.sum(harmonics, axis=0).reshape(cells, 64).mean(axis=1)
+    assert np.abs(np.fft.rfft(means)[1:101]).max() * 2 / cells < 1e-9
+
+
+def test_cells_are_as_usual_where_nothing_helps():
+    assert cells_for(40) == 500  # the counts are orders of the spectrum themselves
+    assert cells_for(4 * 2503) == 2503
 
 
 def test_fewer_samples_a_turn_than_the_first_order_needs():
