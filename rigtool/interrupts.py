@@ -9,6 +9,7 @@ raises what was swallowed, and inside `held` the signal waits until the block of
 from __future__ import annotations
 
 import math
+import os
 import signal
 import sys
 import threading
@@ -100,6 +101,25 @@ def _without_interrupts(unraisable: sys.UnraisableHookArgs) -> None:
     """Print nothing of an interrupt that `raise_swallowed` is going to raise again."""
     if not issubclass(unraisable.exc_type, KeyboardInterrupt | Terminated):
         sys.__unraisablehook__(unraisable)
+
+
+def may_fork() -> bool:
+    """Return whether a copy of this process is whole: on Linux, without other threads."""
+    return sys.platform == "linux" and len(os.listdir("/proc/self/task")) == 1
+
+
+def begin_anew() -> None:
+    """Let signals do in a forked copy what they do in a program that starts.
+
+    A copy that was made while they were `held` takes the one that has arrived since.
+    """
+    arrived, _State.waiting = _State.waiting, None
+    _State.active, _State.depth = False, 0
+    for number in SIGNALS:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, signal.SIG_DFL)
+    if arrived is not None:
+        signal.raise_signal(arrived)
 
 
 def raise_swallowed() -> None:

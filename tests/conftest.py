@@ -14,6 +14,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import pytest
 from hypothesis import settings
 
+# Imports make many objects and no garbage; until all tests are collected, nothing looks for some.
+gc.disable()
+
 # No power fails during tests: nothing waits for the disk, but each handle must be one.
 os.fsync = os.fstat
 
@@ -32,6 +35,7 @@ def pytest_collection_finish():
     """Let the collector of garbage look at what tests make, not at all that was imported."""
     gc.collect()
     gc.freeze()
+    gc.enable()
     gc.set_threshold(20_000, 10, 10)
 
 

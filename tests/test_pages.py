@@ -22,6 +22,7 @@ import pytest
 
 import rigtool
 from rigtool.cli import main
+from rigtool.cli.batch import read_lines
 from rigtool.report.figures import style
 from tests.experiments.learned_loads import LINE, RIG, learned_loads
 from tests.fixtures.make import SHORT
@@ -198,6 +199,12 @@ def test_the_start_page_runs(folder, capsys, monkeypatch):
     assert json.loads(printed["info kt.h5 --json"].out)
     assert printed["diff kt.h5 again.h5"].err == "no difference\n"
     assert (folder / "report" / "index.html").is_file()
+
+
+def test_the_lines_that_the_start_page_batches_are_commands(folder):
+    batches = calls("\n".join(section("docs/start.md", "Many small runs")), folder)
+    assert batches == [["batch", "lines.txt", "-j", "2"]]
+    assert [line.words[-1] for line in read_lines("lines.txt")] == ["1", "2", "3"]
 
 
 def test_the_start_page_analyses_a_table_of_numbers(folder, capsys):

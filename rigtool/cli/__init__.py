@@ -54,6 +54,7 @@ COMMANDS = {
     "verify": "Check run files and everything they were made from.",
     "diff": "Show where two runs differ.",
     "export": "Write a run, or a learned table, for other programs.",
+    "batch": "Run many commands, one a line of a file, by one process.",
     "config": "Show the defaults that rigtool.toml states for this folder.",
 }
 """Commands in the order of use, each with the first line of its help. The command itself is the

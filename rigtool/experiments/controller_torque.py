@@ -237,14 +237,21 @@ def encoder_shaking(recipe: Recipe, speed: Array) -> Array:
     """
     rig = recipe.rig
     answer = position_loop(**rig.loop_design).complementary_sensitivity.response
-    frequency = np.linspace(0, 0.5 / rig.sample_time, SPECTRUM_POINTS)[1:]
-    swing = np.abs(answer(frequency)) * 2 * np.pi * frequency
     step, way = 2 * np.pi / rig.encoder_counts, np.maximum(np.abs(speed), 1e-300)
-    noise = step * math.sqrt(float(np.mean(swing**2)) / 12) / way
+    noise = step * _speed_of_noise(**rig.loop_design) / way
     edges = np.outer(way / step, np.arange(1, EDGE_HARMONICS + 1))
-    seen = edges < frequency[-1]
+    seen = edges < 0.5 / rig.sample_time
     followed = np.where(seen, np.abs(answer(np.where(seen, edges, 0.0))), 0.0)
     return np.maximum(noise, np.sqrt(2 * np.sum(followed**2, axis=1)))
+
+
+@lru_cache(maxsize=4)  # of a thousand files with one recipe, once
+def _speed_of_noise(**design: float) -> float:
+    """Return the speed, in steps of the encoder a second, that its noise makes in a loop."""
+    answer = position_loop(**design).complementary_sensitivity.response
+    frequency = np.linspace(0, 0.5 / design["sample_time"], SPECTRUM_POINTS)[1:]
+    swing = np.abs(answer(frequency)) * 2 * np.pi * frequency
+    return math.sqrt(float(np.mean(swing**2)) / 12)
 
 
 def usual_current(asked: Array) -> float:

@@ -57,10 +57,15 @@ def torque_per_ampere(
     of its set point, which does not count `of_measured_current`. Raises `RunFileError` where `kt`
     is no calibration.
     """
-    kt.require_command("calibrate-kt")
+    away = _furthest(kt, recordings)[1]
+    return _torque_per_ampere(kt, away, of_measured_current=of_measured_current)
+
+
+def _torque_per_ampere(kt: Run, away: float, *, of_measured_current: bool = False) -> Quantity:
+    """Do as `torque_per_ampere` where recordings show the constant `away` from its mean."""
     mean = without(_constant(kt, "torque_constant_mean"), CURRENT_READING)
     gain = Quantity(1.0, "1", 0.0) if of_measured_current else _gain(kt)
-    away = max(_known_error(kt), abs(_furthest(kt, recordings)[1]))
+    away = max(_known_error(kt), abs(away))
     value = mean.value * gain.value
     lines = [
         input_line("torque constant", mean, gain.value),
@@ -141,21 +146,22 @@ def _at_ends(recording: Recording) -> tuple[Array, Array]:
     """Return the known temperatures among the first and among the last samples, degC."""
     if not recording.has("temperature"):
         return np.empty(0), np.empty(0)
+    late = max(0, recording.size - END_SAMPLES)
     first, last = (
         np.concatenate([np.empty(0), *(degc for (degc,) in blocks)])
         for blocks in (
             recording.blocks("temperature", stop=END_SAMPLES, finite=False),
-            recording.blocks(
-                "temperature", start=max(0, recording.size - END_SAMPLES), finite=False
-            ),
+            recording.blocks("temperature", start=late, finite=False) if late else (),
         )
     )
-    return first[np.isfinite(first)], last[np.isfinite(last)]  # NaN where no thermometer is there
+    first, last = (end[np.isfinite(end)] for end in (first, last))  # NaN without a thermometer
+    return first, last if late else first
 
 
 def _furthest(kt: Run, recordings: Sequence[Recording]) -> tuple[float, float]:
     """Return the recorded temperature, degC, at which k is furthest from its mean, and how far,
     relative; NaN and 0 where nothing shows it."""
+    kt.require_command("calibrate-kt")
     names = ("torque_constant", "torque_constant_temperature_coefficient")
     ends = [end for recording in recordings for end in _at_ends(recording)]
     degc = np.concatenate([*ends, np.empty(0)], dtype=np.float64)
@@ -170,8 +176,8 @@ def _furthest(kt: Run, recordings: Sequence[Recording]) -> tuple[float, float]:
 
 def mean_constant_note(kt: Run, recordings: Sequence[Recording] = ()) -> str:
     """State the constant behind the torques, and the parts of its uncertainty."""
-    constant = torque_per_ampere(kt, recordings)
     degc, away = _furthest(kt, recordings)
+    constant = _torque_per_ampere(kt, away)
     if abs(away) > _known_error(kt):
         return (
             f"torque by the mean torque constant, {constant.value * 1e3:.4g} mN m/A, but the motor "

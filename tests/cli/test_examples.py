@@ -83,6 +83,8 @@ def prepare(bench, line):
         write_epos(bench / "epos-exports" / "10.csv")
     elif "tables-loads.h5" in line:
         learned_run(bench / "tables-loads.h5")
+    elif "batch lines.txt" in line:
+        (bench / "lines.txt").write_text("info kt.h5 -q\ninfo force.h5 -q\n")
     elif "kt.h5.part" in line:
         (bench / "kt.h5").unlink()
         interrupted(bench / "kt.h5")

@@ -11,13 +11,11 @@ from __future__ import annotations
 import mmap
 import os
 import signal
-import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
-from pathlib import Path
 
-from rigtool.interrupts import SIGNALS, held
+from rigtool.interrupts import SIGNALS, held, may_fork
 
 MIN_FIGURES = 4
 """Figures from which a second process takes less time than it costs."""
@@ -55,9 +53,7 @@ def _draw_until_met(figures: Figures, order: Iterable[int], taken: mmap.mmap) ->
 
 def _may_fork() -> bool:
     """Return whether there is a second core, and no thread that the copy would miss."""
-    if sys.platform != "linux" or len(os.sched_getaffinity(0)) < 2:
-        return False
-    return len(list(Path("/proc/self/task").iterdir())) == 1
+    return may_fork() and len(os.sched_getaffinity(0)) > 1
 
 
 @contextmanager

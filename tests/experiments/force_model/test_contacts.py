@@ -53,6 +53,7 @@ def test_a_tail_that_few_values_show_is_followed_further():
     assert 1.1 * many < few < 3 * many
 
 
+@pytest.mark.compiles
 def test_what_is_in_doubt_is_no_contact():
     """Ripple that may be another's, 0.9 mN m, is found where it is certain."""
     time = np.arange(200_000) * STEP

@@ -10,6 +10,7 @@ from rigtool.experiments.force_filter.encoder_angle import interpolated
 from rigtool.experiments.force_model.paths import bristle, lagged, tendon
 
 
+@pytest.mark.compiles
 @settings(deadline=None)
 @given(
     st.floats(1e-4, 1.0),
@@ -29,6 +30,7 @@ def test_a_bristle_depends_on_the_path_not_on_its_samples(length, corners, finer
     assert np.abs(bristle(fine, length, False)).max() <= 1.0
 
 
+@pytest.mark.compiles
 @settings(deadline=None)
 @given(st.floats(1e-3, 1.0), st.floats(1e-3, 0.1), st.floats(-5.0, 5.0))
 def test_a_ramp_lags_by_the_lags_time(time, interval, slope):
@@ -39,6 +41,7 @@ def test_a_ramp_lags_by_the_lags_time(time, interval, slope):
     np.testing.assert_allclose(late, expected, rtol=0, atol=1e-9 * (1 + abs(slope)))
 
 
+@pytest.mark.compiles
 def test_a_slow_load_hangs_where_the_tendon_is_in_balance():
     angle = np.linspace(0, 2.5, 4000)
     carried, output = tendon(angle, 2e-3, 0.2, 1e-3, 1e-5, 0.0, 5e-3, 0.04, False)

@@ -176,6 +176,7 @@ def test_what_touches_shifts_no_other_draw():
     assert CHANNELS["reference_torque"][0] == "N m"
 
 
+@pytest.mark.compiles
 def test_nothing_touching_is_the_same_to_the_last_digit():
     task = Task(MOTION, Feedforward(1.8e-5), Load(force=1.0), record_every=4)
     plain = perform(rig_with()[0], task)
