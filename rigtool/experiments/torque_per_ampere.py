@@ -174,12 +174,12 @@ def _furthest(kt: Run, recordings: Sequence[Recording]) -> tuple[float, float]:
     return float(degc[worst]), float(away[worst])
 
 
-def mean_constant_note(kt: Run, recordings: Sequence[Recording] = ()) -> str:
-    """State the constant behind the torques, and the parts of its uncertainty."""
+def mean_constant(kt: Run, recordings: Sequence[Recording] = ()) -> tuple[Quantity, str]:
+    """Return `torque_per_ampere`, and a note on it and the parts of its uncertainty."""
     degc, away = _furthest(kt, recordings)
     constant = _torque_per_ampere(kt, away)
     if abs(away) > _known_error(kt):
-        return (
+        return constant, (
             f"torque by the mean torque constant, {constant.value * 1e3:.4g} mN m/A, but the motor "
             f"had {degc:.3g} degC, where the constant is {abs(away):.2%} "
             f"{'below' if away < 0 else 'above'} it: torques are read too "
@@ -187,7 +187,7 @@ def mean_constant_note(kt: Run, recordings: Sequence[Recording] = ()) -> str:
             f"{(constant.u or 0.0) / constant.value:.2%}, includes it; widen "
             "calibrate_kt.reference_range_degc, or let the motor cool"
         )
-    return (
+    return constant, (
         f"torque by the mean torque constant, {constant.value * 1e3:.4g} mN m/A; its standard "
         f"uncertainty, {(constant.u or 0.0) / constant.value:.2%}, includes its change over the "
         "temperatures of the calibration"

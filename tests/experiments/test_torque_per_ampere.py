@@ -5,7 +5,7 @@ import pytest
 
 from rigtool.errors import RunFileError
 from rigtool.experiments.torque_per_ampere import (
-    mean_constant_note,
+    mean_constant,
     torque_per_ampere,
     with_constant,
 )
@@ -82,7 +82,8 @@ def test_a_motor_outside_the_range_of_the_mean_is_in_u_and_in_a_note(tmp_path, d
         writer.finish({}, {})
     with open_run(tmp_path / "run.h5") as run, calibration(tmp_path / "kt.h5", **results) as kt:
         recorded = [run.recording("holds")]
-        found, note = torque_per_ampere(kt, recorded), mean_constant_note(kt, recorded)
+        found, note = mean_constant(kt, recorded)
+        assert found == torque_per_ampere(kt, recorded)
         usual = torque_per_ampere(kt)
     assert found.value == usual.value
     if away is None:

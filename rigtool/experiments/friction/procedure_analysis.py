@@ -54,7 +54,7 @@ from rigtool.experiments.friction.stribeck_fit import (
 )
 from rigtool.experiments.friction.sweep import TorqueSpeed, torque_speed_curve
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.torque_per_ampere import mean_constant_note
+from rigtool.experiments.torque_per_ampere import mean_constant, torque_per_ampere
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run, Table
@@ -74,7 +74,7 @@ BREAKAWAY, BREAKAWAY_LOADED, HOLDS_LOADED = "breakaway", "breakaway_loaded", "ho
 
 def coulomb_and_viscous(holds: Recording, recipe: Recipe, kt: Run) -> Uncertain:
     """Return Coulomb [N m] and viscous friction [N m s/rad] from holds in both directions."""
-    scale = Scale.of(kt, [holds])
+    scale = Scale(torque_per_ampere(kt, [holds]))
     fits, _, _ = _fit_holds([holds], recipe, scale, kt)
     return (
         float(np.mean([fit.coulomb[0] for fit in fits.values()])),
@@ -102,8 +102,8 @@ def analyse(
         for name in (HOLD_RECORDING, *SWEEP_RECORDINGS, BREAKAWAY, BREAKAWAY_LOADED, HOLDS_LOADED)
     }
     everything = [recording for parts in recordings.values() for recording in parts]
-    found = Findings(Scale.of(kt, everything))
-    found.notes.append(mean_constant_note(kt, everything))
+    constant, note = mean_constant(kt, everything)
+    found = Findings(Scale(constant), notes=[note])
     if not everything:
         runs[0].recording(HOLD_RECORDING)  # raises, naming the recordings that are there
     missing = [name for name, parts in recordings.items() if not parts]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
@@ -13,7 +13,6 @@ from rigtool.experiments.friction.breakaway import Breakaway, TorqueRamp
 from rigtool.experiments.friction.holds import Holds
 from rigtool.experiments.friction.stribeck_fit import DIRECTION_NAMES, DirectionFit, Offset
 from rigtool.experiments.friction.sweep import TorqueSpeed
-from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import (
     Component,
@@ -23,7 +22,7 @@ from rigtool.quantity import (
     inherited,
     scaled,
 )
-from rigtool.runfile import Column, Recording, Run, Table, dof_column
+from rigtool.runfile import Column, Table, dof_column
 
 Uncertain = tuple[float, float]
 """A value and its standard uncertainty."""
@@ -55,14 +54,9 @@ SAME_COULOMB = (
 
 @dataclass(frozen=True)
 class Scale:
-    """Torque for each ampere of set point, with the uncertainty that all torques share."""
+    """Torque for each ampere of set point [7.1.1], with the uncertainty that all torques share."""
 
     constant: Quantity
-
-    @classmethod
-    def of(cls, kt: Run, recordings: Sequence[Recording]) -> Scale:
-        """Take the mean torque constant of a calibration [7.1.1], for recordings to be read."""
-        return cls(torque_per_ampere(kt, recordings))
 
     @property
     def value(self) -> float:

@@ -44,9 +44,8 @@ from rigtool.experiments.ripple.results import (
 from rigtool.experiments.ripple.revolutions import Revolutions
 from rigtool.experiments.ripple.winding_heat import Lowered, TurnCurrents, winding_heat
 from rigtool.experiments.torque_per_ampere import (
-    mean_constant_note,
+    mean_constant,
     temperature_at_ends,
-    torque_per_ampere,
     torque_per_ampere_at,
     with_constant,
 )
@@ -267,9 +266,9 @@ def _constants(
     """
     degrees = [temperature_at_ends(recording) for recording in recorded]
     if not np.isfinite(degrees).all():
-        constant = torque_per_ampere(kt, recorded)
+        constant, note = mean_constant(kt, recorded)
         alike = [np.full((1, 1), constant.value)] * len(recorded)
-        return [constant] * len(recorded), alike, mean_constant_note(kt, recorded)
+        return [constant] * len(recorded), alike, note
     falls = [math.log(begin / end) for begin, end in _constants_at(kt, degrees)]
     heat = winding_heat(
         [
