@@ -45,7 +45,7 @@ part with temperature, relative."""
 
 RIPPLE_PATH_U = 0.4
 """Standard uncertainty of what friction takes of the ripple, relative: its path follows each
-staircase, and of its law only the mean of all is known."""
+staircase, from the torque with which it begins, and of its law only the mean of all is known."""
 
 SMEARED = 0.05
 """Change of the slope of u exp(i a u) over a staircase of u from 0 to 1, in a2: its line of least
@@ -268,13 +268,13 @@ def _ripple(found: AngleEffects, value: float, slopes: Slopes, *, known: bool) -
     current, which is taken off. The gauge rounds each staircase by its own zero.
     """
     order = np.repeat(np.arange(1, len(found.amplitudes) // 2 + 1), 2)
-    carried, left = _carried(slopes) if known else (np.zeros(len(order)), 0.0)
+    carried, left, begin = _carried(slopes) if known else (np.zeros(len(order)), 0.0, 0.0)
     square = found.amplitudes**2
     own = found.deviation**2 + float(np.sum((found.amplitudes - carried) ** 2 - square)) / 2
     deviation = math.sqrt(max(own, 0.0)) * (1 + slopes.friction_share)
     angle = math.hypot(slopes.deflection, slopes.deflection_u)
     turned = float(np.sum(square * (order * angle) ** 2) / max(np.sum(square), 1e-300))
-    path = deviation * RIPPLE_PATH_U * slopes.friction_share
+    path = math.hypot(deviation, begin) * RIPPLE_PATH_U * slopes.friction_share
     smear = deviation * SMEARED * turned
     more = math.hypot(deviation, left) - deviation  # of phases that have nothing in common
     rounding = value * slopes.resolution_u
@@ -303,18 +303,20 @@ def _first_ripple(slopes: Slopes) -> Quantity:
     return Quantity(ripple, "1", reason="a size of what single staircases show")
 
 
-def _carried(slopes: Slopes) -> tuple[Array, float]:
+def _carried(slopes: Slopes) -> tuple[Array, float, float]:
     """Return amplitudes (2 K,) of slopes, N m/A, by torque without current that changes with the
-    angle, which the arm's deflection changes with the torque; and the standard deviation over a
-    turn of what stays unknown of these."""
+    angle, which the arm's deflection changes with the torque; the standard deviation over a turn
+    of what stays unknown of these; and that of the torque itself, over the largest current."""
     noise = np.full(len(slopes.zero), max(float(np.ptp(slopes.zero)), 1e-12) / SMALLEST_PART)
     zero = fit_angle_effects(np.ones((len(noise), 1)), slopes.zero, noise, slopes.rotor_angle)
-    cosine, sine = zero.amplitudes.reshape(-1, 2).T
+    cosine, sine = zero.amplitudes.reshape(-1, 2).T / float(np.ptp(slopes.level))
     order = np.arange(1, len(cosine) + 1)
-    rate = np.stack([order * sine, -order * cosine], axis=1).ravel() / float(np.ptp(slopes.level))
-    size = math.sqrt(float(rate @ rate) / 2)
+    moved = (cosine - 1j * sine) * np.expm1(1j * order * slopes.deflection)
+    rate = math.sqrt(float(np.sum(order**2 * (cosine**2 + sine**2))) / 2)
     unknown = slopes.deflection * zero.deviation_u / max(zero.deviation, 1e-300)
-    return rate * slopes.deflection, size * math.hypot(slopes.deflection_u, unknown)
+    carried = np.stack([moved.real, -moved.imag], axis=1).ravel()
+    begin = zero.deviation / float(np.ptp(slopes.level))
+    return carried, rate * math.hypot(slopes.deflection_u, unknown), begin
 
 
 def _hidden(fit: _Fit) -> float:

@@ -188,6 +188,11 @@ def test_what_the_ripple_is_uncertain_by(thesis):
     carried = 2e-3 / np.sqrt(2) * 0.02 / np.ptp(bare.level)
     more = np.hypot(found.deviation, carried) - found.deviation
     assert_allclose(u, np.linalg.norm([1e-6, deflected, more, carried / np.sqrt(6)]), rtol=0.02)
+    _, own, _ = of(friction_share=0.1)
+    offset = 1e-3 * np.cos(2 * bare.rotor_angle)
+    _, u, _ = of(friction_share=0.1, zero=offset, deflection_u=0.0)
+    own = math.sqrt(own**2 - (1.1 * deflected) ** 2)
+    assert_allclose(u, np.hypot(own, 0.04 * 1e-3 / np.sqrt(2) / np.ptp(bare.level)), rtol=0.02)
 
 
 def test_the_smearing_of_an_order_is_that_of_a_line_of_least_squares():
