@@ -56,6 +56,7 @@ from rigtool.recipe import Recipe
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import SpeedProfile
 from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Table
+from rigtool.runfile.schema import CHUNK
 
 ACCELERATION = 30.0
 """During run-up and stop, rad/s2."""
@@ -154,10 +155,12 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     torques = sorted(run.recordings_named("torque_"), key=lambda r: r.condition("torque"))
     cycles = run.recordings_named("power_cycle_")
     recorded = [*speeds, *torques, *cycles]
-    segment = _segment(speeds)
+    steady = [_steady(recording) for recording in recorded]
+    segment = _segment(steady[: len(speeds)])
     welches = [Welch(segment) for _ in speeds]
     found = [
-        _collected(recording, recipe, welch) for recording, welch in zip_longest(recorded, welches)
+        _collected(recording, samples, recipe, welch)
+        for recording, samples, welch in zip_longest(recorded, steady, welches)
     ]
     constants, per_amperes, heat_note = _constants(kt, recorded, found)
     ripples = [
@@ -170,7 +173,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     known = dict(zip((recording.name for recording in recorded), constants, strict=True))
     tables = {
         **condition_tables("speed", "speed", "rad/s", speeds, by_speed, known, recipe),
-        "speed_psd": _psd_table(speeds, welches, segment, known),
+        "speed_psd": _psd_table(speeds, steady[: len(speeds)], welches, segment, known),
         "revolutions": revolutions_table((by_cycle or by_speed)[0]),
     }
     if torques:
@@ -233,9 +236,11 @@ class _Collected:
     current: Array
 
 
-def _collected(recording: Recording, recipe: Recipe, welch: Welch | None) -> _Collected:
+def _collected(
+    recording: Recording, steady: range, recipe: Recipe, welch: Welch | None
+) -> _Collected:
     """Return a recording's steady revolutions; add their current to `welch`."""
-    steady, largest, total = _steady(recording), 0.0, 0.0
+    largest, total = 0.0, 0.0
     with naming(recording):
         first, last = _ends(recording, "encoder", steady)
         revolutions = Revolutions(cells_for(recipe.rig.encoder_counts), forward=last > first)
@@ -322,14 +327,22 @@ def _heat_note(recorded: Sequence[Recording], heat: Sequence[Lowered]) -> str:
 
 def _steady(recording: Recording) -> range:
     """Return the samples at constant speed."""
+    begin = float(recording.read("time", 0, 1)[0])
+    starts = range(0, recording.size, CHUNK)
 
     def since_start(sample: int) -> float:
         return float(recording.read("time", sample, sample + 1)[0]) - begin
 
-    samples = range(recording.size)
-    begin = float(recording.read("time", 0, 1)[0])
-    first = bisect_left(samples, recording.condition("steady_from"), key=since_start)
-    last = bisect_left(samples, recording.condition("steady_until"), key=since_start)
+    def first_from(seconds: float) -> int:
+        """Return the first sample so long after the start, or the number of samples."""
+        # Each look at a sample unpacks its chunk: one for each chunk, not for each sample.
+        chunk = bisect_left(starts, seconds, key=since_start)
+        start = starts[max(chunk - 1, 0)]
+        after = recording.read("time", start, start + CHUNK) - begin
+        return start + int(np.searchsorted(after, seconds))
+
+    first = first_from(recording.condition("steady_from"))
+    last = first_from(recording.condition("steady_until"))
     if last - first < MIN_STEADY_SAMPLES:
         raise InsufficientDataError(
             f"recording {recording.name}: {last - first} samples at constant speed are too few, "
@@ -344,24 +357,23 @@ def _ends(recording: Recording, channel: str, samples: range) -> tuple[float, fl
     return float(first), float(last)
 
 
-def _segment(recordings: Sequence[Recording]) -> int:
+def _segment(steady: Sequence[range]) -> int:
     """Return one length of Welch's segments for all speeds, for one frequency axis."""
-    shortest = min(len(_steady(recording)) for recording in recordings)
-    return min(MAX_SEGMENT, 2 ** int(math.log2(shortest / 2)))
+    return min(MAX_SEGMENT, 2 ** int(math.log2(min(map(len, steady)) / 2)))
 
 
 def _psd_table(
     recordings: Sequence[Recording],
+    steady: Sequence[range],
     welches: Sequence[Welch],
     segment: int,
     constants: Mapping[str, Quantity],
 ) -> Table:
     """Return the PSD of the steady torque by speed, all on one frequency axis."""
     spectra, psd = [], []
-    for recording, welch in zip(recordings, welches, strict=True):
-        steady = _steady(recording)
-        first, last = _ends(recording, "time", steady)
-        spectra.append(welch.spectrum((last - first) / (len(steady) - 1)))
+    for recording, samples, welch in zip(recordings, steady, welches, strict=True):
+        first, last = _ends(recording, "time", samples)
+        spectra.append(welch.spectrum((last - first) / (len(samples) - 1)))
         psd.append(spectra[-1].psd * constants[recording.name].value ** 2)
     return Table(
         ("speed", "frequency"),

@@ -1,0 +1,62 @@
+"""The steady part of a recording, found by looking at few of its samples."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.ripple.procedure import _steady
+from rigtool.runfile.schema import CHUNK
+
+
+class Stored:
+    """A recording of nothing but time, which counts the chunks that are unpacked."""
+
+    name = "speed_000"
+
+    def __init__(self, time, steady_from, steady_until):
+        self._time, self.size, self.unpacked = time, len(time), 0
+        self._conditions = {"steady_from": steady_from, "steady_until": steady_until}
+
+    def condition(self, name):
+        return self._conditions[name]
+
+    def read(self, channel, start, stop):
+        assert channel == "time"
+        stop = min(stop, self.size)
+        self.unpacked += (stop - 1) // CHUNK - start // CHUNK + 1
+        return self._time[start:stop]
+
+
+@given(
+    size=st.one_of(
+        st.integers(5, 50),
+        st.integers(1, 4).flatmap(lambda n: st.integers(n * CHUNK - 2, n * CHUNK + 2)),
+    ),
+    begin=st.sampled_from([0.0, 0.1, -3.7, 1e6]),
+    places=st.tuples(st.floats(-0.1, 1.1), st.floats(-0.1, 1.1)),
+    on_samples=st.booleans(),
+)
+def test_it_is_what_a_search_through_all_samples_finds(size, begin, places, on_samples):
+    time = begin + 1.25e-4 * np.arange(size)
+    since = time - time[0]
+    low, high = (place * since[-1] for place in sorted(places))
+    if on_samples:
+        low, high = (float(since[min(np.searchsorted(since, t), size - 1)]) for t in (low, high))
+    first, last = (int(np.sum(since < seconds)) for seconds in (low, high))
+    stored = Stored(time, low, high)
+    if last - first < 4:
+        with pytest.raises(InsufficientDataError, match="too few"):
+            _steady(stored)
+    else:
+        assert _steady(stored) == range(first, last)
+
+
+def test_an_hour_takes_two_looks_at_each_halving_of_its_chunks():
+    size = 3516 * CHUNK
+    stored = Stored(np.arange(size) / 8000, 0.5, size / 8000 - 1)
+    assert len(_steady(stored)) == size - 4000 - 8000
+    assert stored.unpacked <= 1 + 2 * (math.ceil(math.log2(3516)) + 1)
