@@ -160,7 +160,7 @@ struct rigtool_sensor {
     int step_left, slow_left; /* steps at the level of a step, of a slow change */
     int32_t base; /* count that the angles are from */
     int32_t counted; /* by the step before */
-    int idle, idle_before; /* whether there is no current */
+    int none_before, none_steps, idle; /* without a current: a sample, steps so far, for long */
     rs_real turn; /* of the output at this count, in turns */
     rs_real at, sine, cosine; /* of the output at the begin of the step */
     int begun, samples, creeps;
@@ -1153,6 +1153,7 @@ static inline void rs_begin(struct rigtool_sensor *s)
             s->own[i][j] = shared * m->settled[j];
     }
     s->counted = s->encoder;
+    s->none_steps = RS_IDLE_STEPS; /* as if it had been so before */
     s->d[RS_NOISE] = rs_square(m->friction_noise);
     s->d[RS_SINE] = s->d[RS_COSINE] = rs_square(m->stroke);
     s->d[RS_LOAD] = rs_square(m->load_stroke);
@@ -1194,7 +1195,7 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
     struct rigtool_sensor *s, struct rigtool_sensor_sample sample)
 {
     rs_real torque, viscous;
-    int limited = RS_MATH(fabs)(sample.current) >= rs_model.current_limit, idle;
+    int limited = RS_MATH(fabs)(sample.current) >= rs_model.current_limit, none;
 #if RS_DIVIDED > 1
     int part;
 #endif
@@ -1222,10 +1223,14 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
     s->temperature *= (rs_real)1 / RS_AVERAGED;
     if (!s->begun)
         rs_begin(s);
-    idle = RS_MATH(fabs)(s->current) <= rs_model.no_current;
+    none = RS_MATH(fabs)(s->current) <= rs_model.no_current;
     if (s->samples == RS_STEP_SAMPLES) {
         s->samples = 0;
-        s->idle = idle && s->idle_before;
+        if (!none || !s->none_before)
+            s->none_steps = 0;
+        else if (s->none_steps < RS_IDLE_STEPS)
+            s->none_steps++;
+        s->idle = s->none_steps == RS_IDLE_STEPS;
         rs_predicted(s);
         rs_rebase(s, s->encoder);
         rs_update(s);
@@ -1243,7 +1248,7 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
     s->current = s->last.current;
     s->temperature = s->last.temperature;
     s->limited = s->last_limited;
-    idle = RS_MATH(fabs)(s->current) <= rs_model.no_current;
+    none = RS_MATH(fabs)(s->current) <= rs_model.no_current;
     for (part = 1; part < RS_DIVIDED; part++) {
         torque = rs_drive(s, &viscous);
         rs_advance(s, torque, viscous);
@@ -1251,7 +1256,7 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
 #endif
     s->temperature_before = s->temperature;
     s->limited_before = s->limited;
-    s->idle_before = idle;
+    s->none_before = none;
     return &s->reading;
 }
 

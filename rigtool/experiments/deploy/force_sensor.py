@@ -16,6 +16,7 @@ import numpy as np
 
 from rigtool.experiments.deploy.c_header import comment
 from rigtool.experiments.force_filter import kalman, motion_states, passed
+from rigtool.experiments.force_filter.estimate import idle_steps
 from rigtool.experiments.force_model.drive import VISCOUS
 from rigtool.experiments.force_model.steps import LONGEST_EXACT, NO_CURRENT
 from rigtool.experiments.force_sensor import power_up, shown_ripple
@@ -62,6 +63,7 @@ def sensor_header(
         "STILL_STEPS": _within(motion_states.STILL_TIME, grid.step_time),
         "LIMIT_STEPS": _within(motion_states.LIMIT_TIME, grid.step_time),
         "SPEED_STEPS": _within(motion_states.SPEED_TIME, grid.step_time) - 1,
+        "IDLE_STEPS": idle_steps(grid.step_time),
         "BUSY_STEPS": _lasting(model.uncertainty.busy_time, grid.step_time),
         "ROW_STEPS": power_up.row_steps(grid.step_time),
         **dict(zip(("DRAW_FACTOR", "DRAW_ADDED", "DRAW_MODULUS"), power_up.DRAW, strict=True)),

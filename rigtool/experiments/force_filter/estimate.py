@@ -37,6 +37,16 @@ BLOCK, AHEAD = 64.0, 20.0
 the torque by less than 1e-4 of its deviation, with 10 s by up to 0.7 where the rotor rests long."""
 
 
+IDLE_TIME = 0.25
+"""Time without a current, s, from which on a motor is not driven: more than a controller's current
+takes to pass zero where the motion turns around."""
+
+
+def idle_steps(step_time: float) -> int:
+    """Return the steps of `step_time` s in `IDLE_TIME`."""
+    return max(1, round(IDLE_TIME / step_time))
+
+
 @dataclass(frozen=True)
 class Signals:
     """What is known of each of n samples.
@@ -59,13 +69,14 @@ class Estimate:
     """Estimate after each of m steps: all states (m, 12); the torque behind the low-pass, its
     deviation, both N m, the level of the torque's noise, and gains, (m, 9).
 
-    `low` (m,) rad is the count's edge after each, `kept` what the smoother needs of the steps,
-    None where it was not asked for.
+    `low` (m,) rad is the count's edge after each, `idle` (m,) where the motor has had no current
+    for `IDLE_TIME`, `kept` what the smoother needs of the steps, None where it was not asked for.
     """
 
     states: Array
     outputs: Array
     low: Array
+    idle: Mask
     kept: tuple[Array, ...] | None = None
 
     @property
@@ -103,6 +114,8 @@ class Filter:
         self._low_pass = passed.section(corner_hz, step_samples * plant.sample_time)
         self._waiting: Signals | None = None
         self._state: NDArray[np.void] | None = None
+        self._idle_steps = idle_steps(step_samples * plant.sample_time)
+        self._idle = self._idle_steps  # as if it had been so before
 
     @property
     def last_deviation(self) -> float:
@@ -135,13 +148,16 @@ class Filter:
         self._waiting = _part(signals, count * size, None)
         kept = smoother.room(count, size) if keep else None
         low = np.ascontiguousarray(signals.low[size : count * size + 1 : size])
-        found = Estimate(np.empty((count, STATES)), np.empty((count, kalman.OUTPUTS)), low, kept)
+        found = Estimate(
+            np.empty((count, STATES)),
+            np.empty((count, kalman.OUTPUTS)),
+            low,
+            self._still_idle(signals.idle, count),
+            kept,
+        )
         if self._state is None or not count:
             return found
         torque = signals.drive_torque[: count * size].reshape(count, size)
-        driven = np.ones(count, dtype=np.bool_)
-        if (idle := signals.idle) is not None:
-            driven = ~(idle[size - 1 : count * size : size] & idle[size : count * size + 1 : size])
         kalman.run(
             self._state,
             as_record(self._plant),
@@ -151,13 +167,25 @@ class Filter:
             signals.viscous[: count * size].reshape(count, size),
             low,
             signals.width,
-            driven,
+            found.idle,
             self._low_pass,
             np.zeros(count) if least is None else np.ascontiguousarray(least[:count]),
             found.states,
             found.outputs,
             kept,
         )
+        return found
+
+    def _still_idle(self, idle: Mask | None, count: int) -> Mask:
+        """Return in which steps (count,) the motor has had no current for `IDLE_TIME`, from samples
+        (n,) without one: a current that passes zero is none for moments only."""
+        if idle is None or not count:
+            return np.zeros(count, dtype=np.bool_)
+        size, step = self._size, np.arange(1, count + 1)
+        none = idle[size - 1 : count * size : size] & idle[size : count * size + 1 : size]
+        lasting = step - np.maximum.accumulate(np.where(none, -self._idle, step))
+        self._idle = min(int(lasting[-1]), self._idle_steps)
+        found: Mask = lasting >= self._idle_steps
         return found
 
 

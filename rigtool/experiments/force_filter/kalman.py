@@ -277,12 +277,12 @@ def _update(
     width: float,
     span: float,
     memory: tuple[float, float],
-    driven: bool,
+    idle: bool,
     gain: Array,
 ) -> tuple[float, float, float]:
     """Take in that the angle lies in a count; return correction, weight and prior variance.
 
-    `driven` states whether the motor had a current. `gain` (WIDE,) receives the gain of states and
+    `idle` states that the motor has had no current. `gain` (WIDE,) receives the gain of states and
     q; of the sums of corrections `memory` remains.
     """
     x = s.mean
@@ -304,7 +304,7 @@ def _update(
     s.slow_sum = memory[1] * s.slow_sum + mean * span
     if abs(s.step_sum) > STEP_THRESHOLD:
         s.step_left = u.busy_time
-    if abs(s.slow_sum) > SLOW_THRESHOLD or (low != s.low and not driven):
+    if abs(s.slow_sum) > SLOW_THRESHOLD or (low != s.low and idle):
         s.slow_left = u.busy_time
     s.low = low
     return mean / deviation, weight, variance
@@ -320,7 +320,7 @@ def run(
     viscous: Array,
     low: Array,
     width: float,
-    driven: NDArray[np.bool_],
+    idle: NDArray[np.bool_],
     low_pass: Array,
     least: Array,
     means: Array,
@@ -328,7 +328,7 @@ def run(
     steps: tuple[Array, ...] | None,
 ) -> None:
     """Filter m steps; `torque`, `viscous` (m, samples a step), `low` (m,) of the angle after each,
-    `driven` (m,) whether the motor had a current.
+    `idle` (m,) whether the motor has had no current.
 
     `least` (m,) are the lowest levels of the torque's noise. `means` (m, 12) receive the states
     after each step, `outputs` (m, 9) the torque behind `low_pass` (3, 3), its deviation, the
@@ -366,7 +366,7 @@ def run(
             kept,
             least[k],
         )
-        moved, informed, before = _update(s, u, rows, low[k], width, span, memory, driven[k], gain)
+        moved, informed, before = _update(s, u, rows, low[k], width, span, memory, idle[k], gain)
         for i in range(STATES):
             means[k, i] = s.mean[i]
         mean, spread = passed.output(s.mean, s.passed, rows, low_pass, shared, 0)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.highest import highest
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, Mask
 
 States = NDArray[np.int32]
 
@@ -106,8 +106,8 @@ class Moments:
 
     `low` rad is the lower edge of the angle's count, `speed` rad/s and the deflection of the long
     bristle `housing` are the filter's, `torque` N m is that on the output, positive where it
-    resists positive motion, `limited` where the current is at its limit, `idle` 1 where there is
-    none. All (m,).
+    resists positive motion, `limited` where the current is at its limit, `idle` where the
+    motor has had none. All (m,).
     """
 
     low: Array
@@ -116,7 +116,7 @@ class Moments:
     torque: Array
     temperature_degc: Array
     limited: Array
-    idle: Array
+    idle: Mask
 
     def part(self, first: int, last: int | None = None) -> Moments:
         """Return these from step `first` up to `last`."""
@@ -173,7 +173,7 @@ class Judge:
     @staticmethod
     def held(states: States, moments: Moments) -> NDArray[np.bool_]:
         """Return where friction alone holds a rotor at rest, (m,): without a current."""
-        found: NDArray[np.bool_] = (states == State.STILL) & (moments.idle == 1)
+        found: NDArray[np.bool_] = (states == State.STILL) & moments.idle
         return found
 
     def _highest(self, values: Array, span: float) -> Array:

@@ -214,7 +214,7 @@ def _trial(
     )
     moving, zeros = (causal.states[:, SPEED], causal.states[:, HOUSING]), np.zeros(len(causal.low))
     judge = Judge(replace(UNLIMITED_REACH, slow=slow), under.count, grid.step_time, causal=True)
-    moments = Moments(causal.low, *moving, causal.passed, zeros, zeros, zeros)
+    moments = Moments(causal.low, *moving, causal.passed, zeros, zeros, causal.idle)
     kinds = judge.kinds(judge.states(moments), moments)
     return trial(untouched.torque, untouched.deviation, kinds, grid.step_time)
 
@@ -234,7 +234,7 @@ def _errors(
     torque, deviation = smoothed(*filtered, signals)
     moving, zeros = (causal.states[:, SPEED], causal.states[:, HOUSING]), np.zeros(len(torque))
     judge = Judge(replace(UNLIMITED_REACH, slow=slow), under.count, grid.step_time)
-    moments = Moments(causal.low, *moving, torque, zeros, zeros, zeros)
+    moments = Moments(causal.low, *moving, torque, zeros, zeros, causal.idle)
     kinds = judge.kinds(judge.states(moments), moments)
     record = _whole(own, under)
     output = Swing.of(model.learned.shape, model.learned.known, record).output

@@ -135,7 +135,7 @@ class Sensor:
             np.array([*known, warm, limited, *others], dtype=np.float64), last=last
         )
         estimate = self._filter.add(signals)
-        found = self._stepper.add(np.vstack([np.asarray(signals.idle, dtype=np.float64), riding]))
+        found = self._stepper.add(riding)
         angle = estimate.low + self._instrument.count / 2
         ripple, variance, less = self.power_up.add(angle, estimate.states, estimate.gains)
         torque = estimate.passed - ripple
@@ -144,16 +144,16 @@ class Sensor:
             estimate.states[:, SPEED],
             estimate.states[:, HOUSING],
             torque,
-            found[1],
-            found[2],
             found[0],
+            found[1],
+            estimate.idle,
         )
         states, kinds = self._states(moments)
         held = self._instrument.held_variance * self._judge.held(states, moments)
         scales = self._instrument.model.scales[1]
         u = uncertainty_of_kinds(scales, estimate.deviation, torque, kinds, variance + held)
         doubt = np.sqrt(variance)
-        return Sensed(estimate, torque, u, moments, states, kinds, found[3:], signals, less, doubt)
+        return Sensed(estimate, torque, u, moments, states, kinds, found[2:], signals, less, doubt)
 
     @property
     def last_deviation(self) -> float:

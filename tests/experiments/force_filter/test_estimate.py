@@ -62,6 +62,25 @@ def recording():
     return simulated(16.0)
 
 
+def test_a_current_that_passes_zero_is_no_motor_without_current():
+    time = STEP * PLANT.sample_time
+    needed, rng = round(estimate.IDLE_TIME / time), np.random.default_rng(5)
+    lasting = [needed // 2, 1, needed - 1, 1, needed + 3, 2, 4 * needed]  # without, with, ...
+    idle = np.repeat(np.resize([True, False], len(lasting)), np.array(lasting) * STEP)
+    nothing, rest = np.zeros(len(idle)), np.full(len(idle), WIDTH)
+    found, run, filtered, at = [], needed, [], 0
+    for none in (idle[k] and idle[k - 1] for k in range(STEP, len(idle), STEP)):
+        run = run + 1 if none else 0  # as if there had been none before the first sample
+        found.append(run >= needed)
+    parts = Filter(PLANT, UNCERTAINTY, STEP, BAND)
+    while at < len(idle):
+        part = slice(at, at := at + int(rng.integers(1, 3 * STEP * needed)))
+        signals = Signals(nothing[part], nothing[part], rest[part], WIDTH, idle[part])
+        filtered.append(parts.add(signals).idle)
+    assert np.array_equal(np.concatenate(filtered), found)
+    assert 0 < np.sum(found) < len(found)
+
+
 def test_blocks_of_any_length_give_the_same(recording):
     signals, _, _ = recording
     whole = Filter(PLANT, UNCERTAINTY, STEP, BAND).add(signals)
