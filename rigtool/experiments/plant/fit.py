@@ -11,7 +11,8 @@ by their scatter (logarithmic least squares: Pintelon & Schoukens, System Identi
 edition, Wiley 2012, section 9.8).
 
 A second mass is fitted only where the rigid plant deviates by more than the scatter explains, and
-accepted only where it is better by an F test and has its resonance within the band. The uncertainty
+accepted only where it is better by an F test and has its resonance within the band. Where the test
+does not decide, the plant is rigid, and what a second mass would change is in the uncertainty. That
 is the larger of two: the experiments' scatter by the jackknife (a linear step instead of a new
 fit), which includes errors common to all lines but rests on few experiments; and the lines'
 scatter, propagated by least squares and raised by their deviation from the model, which rests on
@@ -46,6 +47,12 @@ POOLED_LINES = 5
 SECOND_MASS_SIGNIFICANCE = 1e-4
 """Probability that the tests reject the rigid plant wrongly."""
 
+DOUBT = 0.05
+"""The same, from which on a second mass that was not accepted counts as possible."""
+
+LITTLE_LEFT = 0.5
+"""Probability of what the rigid plant leaves, above which a second mass has nothing to explain."""
+
 MAX_EVALUATIONS = 500
 """Largest number of evaluations in one fit; without a second mass it does not converge."""
 
@@ -57,7 +64,7 @@ class PlantFit:
     `used` (k,) marks the lines of the fit, `misfit` is the root of chi2 over its degrees of
     freedom: one where model and scatter explain all. `without` are the fits without each
     experiment in turn, `moved` those one standard deviation off along each principal axis of the
-    least-squares covariance.
+    least-squares covariance, and the one with a second mass where that is possible.
     """
 
     model: PlantModel
@@ -107,14 +114,20 @@ def fit_plant(found: FrequencyResponse, sample_time: float, nominal_inertia: flo
     rigid = PlantModel(nominal_inertia, 0.0)
     start = PlantFit(rigid, 0.0, 0.0, 0.0, sample_time, used, 1.0, 1.0)
     best = data.fitted(start)
-    if (two := _second_mass(data, best)) is not None:
-        best = two
-    return data.with_scatter(best)
+    two = _second_mass(data, best)
+    if two is None:
+        return data.with_scatter(best)
+    required = max(data.explained(best), two.rigid_rejected) < SECOND_MASS_SIGNIFICANCE
+    if required:
+        return data.with_scatter(two)
+    rigid = data.with_scatter(best)
+    doubt = two.rigid_rejected
+    return replace(rigid, rigid_rejected=doubt, moved=(*rigid.moved, two))
 
 
 def _second_mass(data: _Data, rigid: PlantFit) -> PlantFit | None:
-    """Return the fit with a second mass where the data require it, else None."""
-    if data.explained(rigid) > SECOND_MASS_SIGNIFICANCE:
+    """Return the fit with a second mass where the data ask for it or leave a doubt, else None."""
+    if data.explained(rigid) > LITTLE_LEFT:
         return None
     low, high = data.found.frequency[[0, -1]]
     candidates = []
@@ -127,9 +140,7 @@ def _second_mass(data: _Data, rigid: PlantFit) -> PlantFit | None:
     ratio = ((left - rest) / (free - more)) / (rest / more)
     better = float(special.fdtrc(free - more, more, ratio))
     inside = low < best.model.antiresonance_hz and best.model.resonance_hz < high
-    if better < SECOND_MASS_SIGNIFICANCE and inside:
-        return replace(best, rigid_rejected=better)
-    return None
+    return replace(best, rigid_rejected=better) if better < DOUBT and inside else None
 
 
 class _Data:

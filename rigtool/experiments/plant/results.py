@@ -299,6 +299,11 @@ def _swing_note(swing: float) -> str:
 def _model_note(fit: PlantFit) -> str:
     if fit.model.rigid:
         model = "one rigid inertia explains the response"
+        if fit.rigid_rejected < 1:
+            model += (
+                f", two masses as well (F test, p = {fit.rigid_rejected:.1g}): what they would "
+                "change is in the uncertainty"
+            )
     else:
         model = (
             "a rigid inertia does not explain the response (F test, p = "

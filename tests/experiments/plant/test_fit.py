@@ -96,6 +96,17 @@ def test_a_resonance_outside_the_band_is_no_second_mass(antiresonance):
     assert fit.model.inertia == pytest.approx(mass * 2e-5, rel=0.02, abs=0)
 
 
+def test_what_a_possible_second_mass_would_change_is_in_the_uncertainty():
+    fit = fitted(PlantModel(2e-5, 5e-5, 0.97, 60.0, 0.6), 0, noise=3e-2)
+    assert fit.model.rigid
+    assert 1e-4 < fit.rigid_rejected < 0.05
+    possible = fit.moved[-1].model
+    assert not possible.rigid
+    for name in ("inertia", "viscous"):
+        u = fit.uncertainty(lambda f, name=name: getattr(f.model, name))
+        assert u >= abs(getattr(possible, name) - getattr(fit.model, name)) > 0
+
+
 def test_a_plant_that_no_model_explains_is_more_uncertain():
     found = measured(RIGID, 3)
     bump = 1 + 0.05 * np.sin(np.log(FREQUENCY) * 12)
