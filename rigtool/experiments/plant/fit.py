@@ -111,17 +111,16 @@ def fit_plant(found: FrequencyResponse, sample_time: float, nominal_inertia: flo
             "by which it is scaled"
         )
     data = _Data(found.lines(used))
-    rigid = PlantModel(nominal_inertia, 0.0)
-    start = PlantFit(rigid, 0.0, 0.0, 0.0, sample_time, used, 1.0, 1.0)
-    best = data.fitted(start)
-    two = _second_mass(data, best)
+    nominal = PlantModel(nominal_inertia, 0.0)
+    start = PlantFit(nominal, 0.0, 0.0, 0.0, sample_time, used, 1.0, 1.0)
+    rigid = data.fitted(start)
+    two = _second_mass(data, rigid)
     if two is None:
-        return data.with_scatter(best)
-    required = max(data.explained(best), two.rigid_rejected) < SECOND_MASS_SIGNIFICANCE
-    if required:
-        return data.with_scatter(two)
-    rigid = data.with_scatter(best)
+        return data.with_scatter(rigid)
     doubt = two.rigid_rejected
+    if max(data.explained(rigid), doubt) < SECOND_MASS_SIGNIFICANCE:
+        return data.with_scatter(two)
+    rigid = data.with_scatter(rigid)
     return replace(rigid, rigid_rejected=doubt, moved=(*rigid.moved, two))
 
 
