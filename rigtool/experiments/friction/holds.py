@@ -87,6 +87,13 @@ class Holds:
     def __getitem__(self, chosen: Mask | NDArray[np.intp]) -> Holds:
         return Holds(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 
+    def lagging_line(self) -> tuple[float, float]:
+        """Return the line of `lagging` over speed: at rest, N m, and its slope, N m s/rad."""
+        speed = np.abs(self.speed)
+        apart = speed - speed.mean()
+        slope = float(apart @ self.lagging / max(apart @ apart, 1e-300))
+        return float(self.lagging.mean() - slope * speed.mean()), slope
+
 
 def find_holds(
     *,

@@ -120,8 +120,7 @@ def analyse(
         found.tables["holds"] = holds_table(holds)
         offset = separate(fits, holds, [b for b in (unloaded, loaded) if b is not None])
         _note_lacking(UnsampledCurrent.of(runs), holds, found)
-        speed = np.abs(holds.speed)
-        start, slope = np.polynomial.Polynomial.fit(speed, holds.lagging, 1).convert().coef.tolist()
+        start, slope = holds.lagging_line()
         found.common["ripple that lags behind its angle"] = abs(start), abs(slope)
         for recording in recordings[HOLDS_LOADED][:1]:
             add_radial_friction(

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 from scipy.signal import lfilter
 
-from rigtool.experiments.friction.holds import _warm_up, find_holds
+from rigtool.experiments.friction.holds import Holds, _warm_up, find_holds
 
 SPEED, TURNS, SAMPLES, DRAWS = 10.0, 6, 1200, 200
 
@@ -76,3 +76,17 @@ def test_ripple_in_quadrature_with_the_speed_counts_as_uncertainty():
     found = find_holds(torque=4e-3 + 3e-3 * np.sin(time), **signals)
     assert found.lagging[0] == pytest.approx(0.02 * 3e-3 / 2, rel=0.01)
     assert found.torque[0] == pytest.approx(4e-3, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("speeds", "shown", "expected"),
+    [
+        ([1.0, 2.0, 4.0], [0.0, 0.0, 0.0], (0.0, 0.0)),  # no hold turned once
+        ([-2.0, 2.0, 2.0], [1e-4, 2e-4, 3e-4], (2e-4, 0.0)),  # one speed has no slope
+        ([1.0, -2.0, 4.0], [1e-4, 3e-4, 7e-4], (-1e-4, 2e-4)),
+    ],
+)
+def test_the_line_of_lagging_ripple_has_two_numbers_from_any_holds(speeds, shown, expected):
+    rest = np.ones((6, 3))
+    holds = Holds(np.array(speeds), *rest, np.array(shown), np.ones(3))
+    assert holds.lagging_line() == pytest.approx(expected, rel=1e-9, abs=1e-18)
