@@ -77,7 +77,7 @@ def open_serial_rig(
 def _as_recorded(recipe: Recipe) -> Recipe:
     """Return a recipe whose driver is the one of the record, where it plays one back."""
     from rigtool.rigs.serial.drivers import REPLAY_DRIVER
-    from rigtool.rigs.serial.line import REPLAY_PREFIX
+    from rigtool.rigs.serial.transport.opening import REPLAY_PREFIX
     from rigtool.rigs.serial.transport.spy import read_spy
 
     if recipe.line.driver != REPLAY_DRIVER:

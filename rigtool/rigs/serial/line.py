@@ -9,7 +9,6 @@ a reply as well; `LineLost` is final.
 from __future__ import annotations
 
 import contextlib
-import errno
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -19,22 +18,10 @@ from typing import Any, TypeVar
 
 from rigtool.errors import HardwareError
 from rigtool.rigs.serial.transport import can_frames
-from rigtool.rigs.serial.transport.can import CanPort
-from rigtool.rigs.serial.transport.sockets import Socket
+from rigtool.rigs.serial.transport.opening import READ_TIME, USUAL_CHARACTER, open_port
 from rigtool.rigs.serial.transport.spy import Event, Replay, Spy
-from rigtool.rigs.serial.transport.visa import VisaPort
 
 T = TypeVar("T")
-
-REPLAY_PREFIX = "replay://"
-SOCKET_PREFIX = "socket://"
-CAN_PREFIX = "can:"
-VISA_PREFIX = "visa:"
-USUAL_CHARACTER = "8N1"
-"""Data bits, parity and stop bits of a character, where nothing else is stated."""
-
-READ_TIME = 0.01
-"""Longest that one read of the port waits, s: deadlines are kept as closely."""
 
 QUIET_TIME = 0.02
 """Silence after which the rest of an older reply has passed, s."""
@@ -119,7 +106,7 @@ class Line:
         if beside is not None:
             self._port = beside._open_beside(self)
         else:
-            self._port = _open(port, baud_rate, frame, exclusive or None)
+            self._port = open_port(port, baud_rate, frame, exclusive or None)
         self._buffer = bytearray()
         self._until = math.inf
         self._snatched = 0
@@ -161,7 +148,7 @@ class Line:
         deadline = time.monotonic() + patience
         while True:
             try:
-                self._port = _open(self.port, self._baud_rate, self._frame)
+                self._port = open_port(self.port, self._baud_rate, self._frame)
                 return
             except HardwareError:
                 if time.monotonic() > deadline:
@@ -181,7 +168,7 @@ class Line:
     def _open_beside(self, line: Line) -> Any:
         if isinstance(self._port, Replay):
             return Replay(self._port.path, line._role)
-        return _open(line.port, line._baud_rate, line._frame)
+        return open_port(line.port, line._baud_rate, line._frame)
 
     # -- time
 
@@ -408,48 +395,3 @@ class Line:
             f"{self.port}: the line is lost ({error}): cable pulled, device switched off or reset, "
             "or another program reads from this port"
         )
-
-
-def _open(port: str, baud_rate: int, frame: str, exclusive: bool | None = True) -> Any:
-    if port.startswith(REPLAY_PREFIX):
-        return Replay(port.removeprefix(REPLAY_PREFIX))
-    import serial
-
-    try:
-        if port.startswith(SOCKET_PREFIX):
-            return Socket(port.removeprefix(SOCKET_PREFIX), READ_TIME)
-        if port.startswith(CAN_PREFIX):
-            return CanPort(port.removeprefix(CAN_PREFIX), baud_rate, READ_TIME)
-        if port.startswith(VISA_PREFIX):
-            return VisaPort(port.removeprefix(VISA_PREFIX), READ_TIME)
-        return serial.serial_for_url(
-            port,
-            baudrate=baud_rate,
-            bytesize=int(frame[0]),
-            parity=frame[1],
-            stopbits=int(frame[2]),
-            timeout=READ_TIME,
-            write_timeout=1.0,
-            exclusive=exclusive,
-        )
-    except (OSError, ValueError) as error:
-        raise HardwareError(f"{port}: cannot be opened: {_why(error)}") from None
-
-
-def _why(error: OSError | ValueError) -> str:
-    number = getattr(error, "errno", None)
-    text = str(error)
-    if number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in text:
-        return "another program has it open: close that one"
-    if number == errno.ENOENT or "FileNotFoundError" in text:
-        return "there is no such port; `rigtool devices` lists those there are"
-    if number == errno.EISDIR or "Inappropriate ioctl" in text:
-        return "this is no serial port; `rigtool devices` lists those there are"
-    if number == errno.EACCES or "PermissionError" in text:
-        return (
-            "permission denied: on Linux your user must be in the group of the port (often "
-            "dialout); on Windows another program has it open"
-        )
-    if "Connection refused" in text or number == errno.ECONNREFUSED:
-        return "nothing listens at this address"
-    return text

@@ -10,7 +10,8 @@ from rigtool.errors import HardwareError
 from rigtool.rigs.serial.drivers import driver, driver_names
 from rigtool.rigs.serial.instruments import BY_CHARACTER, instrument_module
 from rigtool.rigs.serial.instruments import INSTRUMENT_MODULES as INSTRUMENTS
-from rigtool.rigs.serial.line import CAN_PREFIX, VISA_PREFIX, Line
+from rigtool.rigs.serial.line import Line
+from rigtool.rigs.serial.transport.opening import CAN_PREFIX, VISA_PREFIX
 
 PROBE_TIME = 0.15
 """Longest wait for an answer to a question that only one kind of device understands, s."""

@@ -25,9 +25,9 @@ import can.interfaces.slcan
 import serial
 
 import rigtool.rigs.serial
-from rigtool.rigs.serial import line
 from rigtool.rigs.serial.emulators import server
 from rigtool.rigs.serial.maxon import guard as maxon_guard
+from rigtool.rigs.serial.transport import opening
 
 PATIENCE = 3600.0
 """Emulated time after which a test is taken to wait for ever, s."""
@@ -178,11 +178,11 @@ class World:
 
     def open_socket(self, address, timeout):
         """Take the place of `sockets.Socket`."""
-        wire = self.ports.get(line.SOCKET_PREFIX + address)
+        wire = self.ports.get(opening.SOCKET_PREFIX + address)
         return REAL_SOCKET(address, timeout) if wire is None else Port(self, wire, timeout)
 
 
-REAL_PORT, REAL_SOCKET = serial.serial_for_url, line.Socket
+REAL_PORT, REAL_SOCKET = serial.serial_for_url, opening.Socket
 
 
 # -- threads
@@ -433,7 +433,7 @@ def emulated_time(monkeypatch):
     monkeypatch.setattr(serial.Timeout, "TIME", world.monotonic)
     monkeypatch.setattr(can.bus, "time", world.monotonic)
     monkeypatch.setattr(can.interfaces.slcan, "time", replaced[time])
-    monkeypatch.setattr(line, "Socket", world.open_socket)
+    monkeypatch.setattr(opening, "Socket", world.open_socket)
     # A process of its own lives in real time: it would hear nothing for long, and switch off.
     monkeypatch.setattr(maxon_guard.Guard, "_start", lambda guard: None)
     monkeypatch.setattr(maxon_guard.Guard, "_send", lambda guard, word: None)

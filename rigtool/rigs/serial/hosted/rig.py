@@ -28,8 +28,9 @@ from rigtool.rigs.serial.drive import Drive, Mode
 from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.hosted.between import MIN_ROOM, Between, usual_time
 from rigtool.rigs.serial.hosted.loop import COLUMNS, Followed, MotionTicks
-from rigtool.rigs.serial.line import CAN_PREFIX, REPLAY_PREFIX, Line
+from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.rig import SerialRig, in_thread
+from rigtool.rigs.serial.transport.opening import CAN_PREFIX, REPLAY_PREFIX
 
 RATE_READINGS = 40
 """Readings at standstill from which the rate of a line is found."""

@@ -13,7 +13,8 @@ import re
 
 from rigtool.errors import HardwareError
 from rigtool.rigs.serial.instruments import readings
-from rigtool.rigs.serial.line import VISA_PREFIX, DamagedReply, Line
+from rigtool.rigs.serial.line import DamagedReply, Line
+from rigtool.rigs.serial.transport.opening import VISA_PREFIX
 
 BAUD_RATE = 9600
 
