@@ -100,8 +100,11 @@ def _require_usage(words: list[str]) -> None:
     """Raise what the command line raises for these arguments before their command begins."""
     from rigtool.cli import rigtool
 
-    if words[0].startswith("-") or words[0] == "batch" or {"-h", "--help"} & set(words):
-        raise UsageError("a line begins with a command other than batch, and asks for no help")
+    first = words[0]
+    if first.startswith("-") or first in ("batch", "rigtool") or {"-h", "--help"} & set(words):
+        raise UsageError(
+            "a line begins with a command other than batch, without `rigtool`, and asks for no help"
+        )
     if not all(map(is_text, words)):
         raise UsageError("holds a NUL: correct the line")
     parent = click.Context(rigtool, info_name="rigtool", obj=Output())

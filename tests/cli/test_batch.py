@@ -189,6 +189,7 @@ def test_where_no_copy_can_be_made_each_line_is_a_process(folder):
         ("info \xff", "can't decode byte"),
         ("info \0", "NUL"),
         ("info --help", "asks for no help"),
+        ("rigtool info a.h5", "without `rigtool`"),
         ("--version", "begins with a command"),
         ("batch lines.txt", "other than batch"),
     ],
