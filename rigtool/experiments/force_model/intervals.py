@@ -66,11 +66,18 @@ class Errors:
 
 
 def uncertainty_of_kinds(
-    scales: Array, deviation: Array, torque: Array, kinds: States, variance: Array
+    scales: Array,
+    deviation: Array,
+    torque: Array,
+    kinds: States,
+    variance: Array,
+    least: Array | float = 0.0,
 ) -> Array:
-    """Return u (m,) N m by c and g of each kind, (kinds, 2); `variance` (m,) N2 m2 is r^2."""
+    """Return u (m,) N m by c and g of each kind, (kinds, 2); `variance` (m,) N2 m2 is r^2, and
+    (c s)^2 is at `least` that, (m,) N2 m2."""
     factor, share = scales[kinds].T
-    u: Array = np.sqrt((factor * deviation) ** 2 + (share * torque) ** 2 + variance)
+    own = np.maximum((factor * deviation) ** 2, least)
+    u: Array = np.sqrt(own + (share * torque) ** 2 + variance)
     return u
 
 

@@ -70,6 +70,15 @@ def test_ripple_of_another_power_up_widens_u_as_it_is():
     np.testing.assert_allclose(u, np.sqrt([0.16e-6 + 0.25e-6 + 0.36e-6, 1.36e-6]), rtol=1e-12)
 
 
+def test_what_friction_leaves_open_is_not_in_the_deviation_twice():
+    factors = np.ones((KIND_COUNT, 2)) * (0.5, 0.1)
+    kinds, least = np.array([State.REVERSED, State.REVERSED]), np.array([0.01e-6, 9e-6])
+    u = uncertainty_of_kinds(
+        factors, np.array([1e-3, 1e-3]), np.full(2, 5e-3), kinds, np.full(2, 0.36e-6), least
+    )
+    np.testing.assert_allclose(u, np.sqrt([0.86e-6, 9.61e-6]), rtol=1e-12)
+
+
 def test_few_strokes_hardly_change_what_slides():
     few = drawn(2.0, 0.0, State.AGAINST, count=150)
     assert np.all(scales([few])[:, State.AGAINST, 0] < 1.2)
