@@ -130,7 +130,7 @@ struct rs_model {
     /* the reading: low-pass q' = A q + B M, y = C q + D M, and u^2 = (c s)^2 + (g y)^2 of its
      * deviation s, by state, and while the rotor creeps; the ripple's variance is added */
     rs_real low_pass[RS_ORDER + 1][RS_ORDER + 1], settled[RS_ORDER], scales[RS_KINDS][2], coverage;
-    rs_real no_current, held_variance; /* a rotor that rests without a current */
+    rs_real no_current, open_variances[RS_KINDS]; /* what friction leaves open without a current */
 };
 
 @DATA@
@@ -1106,10 +1106,10 @@ static inline int rs_read(struct rigtool_sensor *s)
     now->torque = torque;
     i = now->state <= RIGTOOL_SENSOR_WITH && s->creeps ? RS_CREEPING : (int)now->state;
     scales = rs_model.scales[i];
-    if (now->state == RIGTOOL_SENSOR_STILL && s->idle)
-        other += rs_model.held_variance; /* whatever friction may hold */
-    now->u = RS_MATH(sqrt)(
-        rs_square(scales[0]) * variance + rs_square(scales[1] * torque) + other);
+    variance *= rs_square(scales[0]);
+    if (s->idle && variance < rs_model.open_variances[i])
+        variance = rs_model.open_variances[i];
+    now->u = RS_MATH(sqrt)(variance + rs_square(scales[1] * torque) + other);
     half = rs_model.coverage * now->u;
     now->low = torque - half;
     now->high = torque + half;

@@ -225,7 +225,7 @@ def _reading(instrument: SensorProperties, coverage_factor: float) -> dict[str, 
         "scales": instrument.model.scales[1],
         "coverage": coverage_factor,
         "no_current": NO_CURRENT,
-        "held_variance": instrument.held_variance,
+        "open_variances": instrument.open_variances,
     }
 
 

@@ -170,12 +170,6 @@ class Judge:
         found: States = np.where(sliding & slow, CREEPING_KIND, states).astype(np.int32)
         return found
 
-    @staticmethod
-    def held(states: States, moments: Moments) -> NDArray[np.bool_]:
-        """Return where friction alone holds a rotor at rest, (m,): without a current."""
-        found: NDArray[np.bool_] = (states == State.STILL) & moments.idle
-        return found
-
     def _highest(self, values: Array, span: float) -> Array:
         """Return the highest value within a span of time, s, about each step or up to it."""
         half = max(1, round(span / self.step_time / 2))

@@ -9,11 +9,13 @@ Stat. Assoc. 102(477) 359-378, 2007, section 6.2), in units of s:
 
     sum of (2 h + (2 / 0.05) max(|e| - h, 0)) / s
 
-c is from errors without load, or from all where these are too few, and g from all, given c. The
-score is least where 95 % of the errors are within h, whatever their tails: friction's are heavy
-after reversals and at rest. All that lies within `INDEPENDENT_TIME` counts as one error; normal
-errors of deviation s, `EXPECTED` in number, count besides. While the rotor slides, s follows from
-hundreds of strokes, so that they are many there.
+c is from errors without load, or from all where these are too few, and g from all, given c. While
+the rotor slides, c is not from motions that friction was fitted to: they show how strokes differ,
+and not how far the friction is off that they gave. The score is least where 95 % of the errors are
+within h, whatever their tails: friction's are heavy after reversals and at rest. All that lies
+within `INDEPENDENT_TIME` counts as one error; normal errors of deviation s, `EXPECTED` in number,
+count besides. While the rotor slides, s follows from hundreds of strokes, so that they are many
+there.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ import numpy as np
 
 from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import CREEPING_KIND, KIND_COUNT, State, States
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, Mask
 
 TIME_APART = 20e-3
 """Time from one compared step to the next, s."""
@@ -53,20 +55,29 @@ FACTORS, SHARES, GRID, PRECISION = (0.2, 20.0), (1e-4, 1.0), 12, 1e-3
 @dataclass(frozen=True, eq=False)
 class Errors:
     """Errors and deviations of smoothed and causal torque (2, m), N m, the `torque` that acted (m,)
-    N m, and the kinds of motion (m,)."""
+    N m, and the kinds of motion (m,); `fitted` where sliding friction was learned from the same
+    motion."""
 
     error: Array
     deviation: Array
     torque: Array
     kinds: States
+    fitted: bool = False
 
 
 def uncertainty_of_kinds(
-    scales: Array, deviation: Array, torque: Array, kinds: States, variance: Array
+    scales: Array,
+    deviation: Array,
+    torque: Array,
+    kinds: States,
+    variance: Array,
+    least: Array | float = 0.0,
 ) -> Array:
-    """Return u (m,) N m by c and g of each kind, (kinds, 2); `variance` (m,) N2 m2 is r^2."""
+    """Return u (m,) N m by c and g of each kind, (kinds, 2); `variance` (m,) N2 m2 is r^2, and
+    (c s)^2 is at `least` that, (m,) N2 m2."""
     factor, share = scales[kinds].T
-    u: Array = np.sqrt((factor * deviation) ** 2 + (share * torque) ** 2 + variance)
+    own = np.maximum((factor * deviation) ** 2, least)
+    u: Array = np.sqrt(own + (share * torque) ** 2 + variance)
     return u
 
 
@@ -77,34 +88,40 @@ def scales(parts: Sequence[Errors]) -> Array:
     )
     torque = np.concatenate([part.torque for part in parts])
     kinds = np.concatenate([part.kinds for part in parts])
+    free = torque == 0
+    unseen = np.concatenate([np.full(len(part.kinds), not part.fitted) for part in parts])
     found = np.ones((2, KIND_COUNT, 2)) * (1.0, 0.0)
     of_all: dict[float, Array] = {}
     for together in KINDS_TOGETHER:
         chosen = np.isin(kinds, together)
-        expected = SLIDING_EXPECTED if State.AGAINST in together else EXPECTED
+        expected, own_free = EXPECTED, free
+        if State.AGAINST in together:
+            expected, own_free = SLIDING_EXPECTED, free & unseen
+            own_free = own_free if (own_free & chosen).sum() >= MIN_STEPS else free
         if chosen.sum() >= MIN_STEPS:
-            own = _of_both(error[:, chosen], deviation[:, chosen], torque[chosen], expected)
+            of_kind = error[:, chosen], deviation[:, chosen], torque[chosen], own_free[chosen]
+            own = _of_both(*of_kind, expected)
         else:
             if expected not in of_all:
-                of_all[expected] = _of_both(error, deviation, torque, expected)
+                of_all[expected] = _of_both(error, deviation, torque, free, expected)
             own = of_all[expected]
         found[:, list(together)] = own[:, None]
     return found
 
 
-def _of_both(error: Array, deviation: Array, torque: Array, expected: float) -> Array:
-    """Return c and g of smoothed and of causal torque, (2, 2)."""
+def _of_both(error: Array, deviation: Array, torque: Array, free: Mask, expected: float) -> Array:
+    """Return c and g of smoothed and of causal torque, (2, 2), c of the errors that are `free`."""
+    if free.sum() < MIN_STEPS:
+        free = np.ones_like(free)
     pairs = zip(error, deviation, strict=True)
-    return np.stack([_of_least_score(*own, torque, expected) for own in pairs])
+    return np.stack([_of_least_score(*own, torque, free, expected) for own in pairs])
 
 
-def _of_least_score(error: Array, deviation: Array, torque: Array, expected: float) -> Array:
+def _of_least_score(
+    error: Array, deviation: Array, torque: Array, free: Mask, expected: float
+) -> Array:
     """Return c and g, (2,), of errors (n,)."""
     errors, loads = np.abs(error / deviation), np.abs(torque / deviation)
-    free = loads == 0
-    if free.sum() < MIN_STEPS:
-        free[:] = True
-
     own = errors[free]
     factor = _least(lambda c: _score(own, np.full(len(own), c), expected, c), *FACTORS)
     share = _least(lambda g: _score(errors, np.hypot(factor, g * loads)), *SHARES)

@@ -138,9 +138,9 @@ def learn_force(
     slowest = min(r.condition("speed") for r in strokes)
     creeping = CREEP_SPEED_RATIO * slowest
     if checks:
-        compared = [*checks, *_compared(strokes)]
-        errors = [_errors(r, recipe, kt, model, creeping) for r in compared]
-        found = scales(errors)
+        errors = [_errors(r, recipe, kt, model, creeping) for r in checks]
+        fitted = [_errors(r, recipe, kt, model, creeping) for r in _compared(strokes)]
+        found = scales([*errors, *(replace(own, fitted=True) for own in fitted)])
         # as far as the known loads are off, so is all that is read in terms of them
         found[..., 1] = np.hypot(found[..., 1], rig.loads_relative_u)
         model = replace(model, scales=found)

@@ -306,7 +306,7 @@ class Stretch:
         self._keep("u", deviation)
         self._keep("states", states[first:end])
         self._keep("kinds", judge.kinds(states, part)[first:end])
-        self._keep("held", judge.held(states, part)[first:end])
+        self._keep("idle", part.idle[first:end])
         self._in_front = min(end, judge.span)
         self._waiting = [waiting.part(end - self._in_front)]
 
@@ -403,10 +403,10 @@ class Stretch:
         ahead *= self._sensor.last_deviation
         deviation[-len(ahead) :] = np.hypot(deviation[-len(ahead) :], ahead)
         kinds, variance = self._taken("kinds")[::every], np.concatenate(variances)
-        variance += instrument.held_variance * self._taken("held")[::every]
+        least = instrument.open_variances[kinds] * self._taken("idle")[::every]
         deviation = deviation[::every].astype(float)
         scales = instrument.model.scales[0]
-        u = uncertainty_of_kinds(scales, deviation, torque[::every], kinds, variance)
+        u = uncertainty_of_kinds(scales, deviation, torque[::every], kinds, variance, least)
         return torque, u, np.concatenate(added)
 
 
@@ -440,7 +440,7 @@ ESTIMATED_TYPES = {
     "u": np.float32,
     "states": np.int8,
     "kinds": np.int8,
-    "held": np.bool_,
+    "idle": np.bool_,
     "causal": np.float64,
     "causal_u": np.float64,
     "causal_states": np.int8,

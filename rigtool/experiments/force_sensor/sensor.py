@@ -16,7 +16,14 @@ from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.estimate import Again, Estimate, Filter, Signals
 from rigtool.experiments.force_filter.kalman import Uncertainty
-from rigtool.experiments.force_filter.motion_states import Judge, Moments, Reach, States
+from rigtool.experiments.force_filter.motion_states import (
+    KIND_COUNT,
+    Judge,
+    Moments,
+    Reach,
+    State,
+    States,
+)
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.intervals import uncertainty_of_kinds
@@ -51,11 +58,23 @@ class SensorProperties:
         return FilterSteps.of(self.interval, self.loop_time)
 
     @property
-    def held_variance(self) -> float:
-        """Variance of the torque that friction may hold either way where a rotor rests without a
-        current, N2 m2: that of a rectangle."""
+    def open_variances(self) -> Array:
+        """Variance of the torque that friction leaves open where the motor has no current, N2 m2,
+        by the kind of motion: that of a rectangle.
+
+        It is as wide as friction where the rotor rests, which may hold either way, and after a
+        reversal as what friction changes by within a count.
+        """
         plant = self.model.plant(self.grid.sample_time)
-        return (plant.torque_factor * (plant.coulomb + plant.housing_friction)) ** 2 / 3
+        bearings, housing = plant.static, plant.housing_friction
+        slope = bearings / plant.presliding_angle
+        if housing > 0:
+            slope += housing / plant.housing_presliding_angle
+        found = np.zeros(KIND_COUNT)
+        found[State.STILL] = (plant.coulomb + housing) ** 2 / 3
+        found[State.REVERSED] = min((slope * self.count / 2) ** 2 / 3, found[State.STILL])
+        open_: Array = plant.torque_factor**2 * found
+        return open_
 
     def limited(self, current: Array) -> NDArray[np.bool_]:
         """Return where a current (n,) A is at its limit."""
@@ -149,9 +168,9 @@ class Sensor:
             estimate.idle,
         )
         states, kinds = self._states(moments)
-        held = self._instrument.held_variance * self._judge.held(states, moments)
+        least = self._instrument.open_variances[kinds] * moments.idle
         scales = self._instrument.model.scales[1]
-        u = uncertainty_of_kinds(scales, estimate.deviation, torque, kinds, variance + held)
+        u = uncertainty_of_kinds(scales, estimate.deviation, torque, kinds, variance, least)
         doubt = np.sqrt(variance)
         return Sensed(estimate, torque, u, moments, states, kinds, found[2:], signals, less, doubt)
 

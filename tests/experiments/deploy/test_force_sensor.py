@@ -93,7 +93,13 @@ def test_a_motor_without_current_is_carried_and_held(libraries, samples):
     plant = Model().plant(INTERVAL)
     friction = plant.torque_factor * (plant.coulomb + plant.housing_friction)
     assert held[-100:].all()
-    assert (wanted[-100:, 1] > friction / np.sqrt(3)).all()
+    assert (wanted[-100:, 1] > 0.999 * friction / np.sqrt(3)).all()
+    slope = plant.static / plant.presliding_angle
+    slope += plant.housing_friction / plant.housing_presliding_angle
+    half = plant.torque_factor * slope * instrument().count / 2
+    turned = wanted[1010:][wanted[1010:, 4] == State.REVERSED]
+    assert len(turned) > 100
+    assert (turned[:, 1] > 0.999 * half / np.sqrt(3)).all()
 
 
 @pytest.mark.parametrize("motion", ["strokes", "free", "rest"])

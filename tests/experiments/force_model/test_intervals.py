@@ -1,5 +1,7 @@
 """The standard uncertainty is that whose intervals have the least score under known loads."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -68,9 +70,32 @@ def test_ripple_of_another_power_up_widens_u_as_it_is():
     np.testing.assert_allclose(u, np.sqrt([0.16e-6 + 0.25e-6 + 0.36e-6, 1.36e-6]), rtol=1e-12)
 
 
+def test_what_friction_leaves_open_is_not_in_the_deviation_twice():
+    factors = np.ones((KIND_COUNT, 2)) * (0.5, 0.1)
+    kinds, least = np.array([State.REVERSED, State.REVERSED]), np.array([0.01e-6, 9e-6])
+    u = uncertainty_of_kinds(
+        factors, np.array([1e-3, 1e-3]), np.full(2, 5e-3), kinds, np.full(2, 0.36e-6), least
+    )
+    np.testing.assert_allclose(u, np.sqrt([0.86e-6, 9.61e-6]), rtol=1e-12)
+
+
 def test_few_strokes_hardly_change_what_slides():
     few = drawn(2.0, 0.0, State.AGAINST, count=150)
     assert np.all(scales([few])[:, State.AGAINST, 0] < 1.2)
+
+
+def test_strokes_that_friction_was_fitted_to_do_not_show_how_far_it_is_off():
+    """Their errors count after reversals, which are not fitted to them, and under load."""
+    fitted = replace(drawn(0.8, 0.0, State.WITH), fitted=True)
+    found = scales([drawn(1.2, 0.0, State.WITH), fitted])
+    np.testing.assert_allclose(found[:, State.WITH, 0], 1.2, rtol=0.04)
+    few = scales([drawn(1.2, 0.0, State.WITH, count=150), fitted])
+    np.testing.assert_allclose(few[:, State.WITH, 0], 0.8, rtol=0.08)
+    turns = [drawn(1.2, 0.0, State.REVERSED), replace(drawn(1.2, 0, State.REVERSED), fitted=True)]
+    np.testing.assert_array_equal(
+        scales(turns)[:, State.REVERSED],
+        scales([turns[0], turns[0]])[:, State.REVERSED],
+    )
 
 
 def test_a_kind_that_nothing_shows_has_the_factor_of_all():
