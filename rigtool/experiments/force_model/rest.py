@@ -97,9 +97,9 @@ UNTOUCHED_RANDOM_WALK = 1e-3
 that expects contacts would take for one is an error of the model."""
 
 SPEED_RATE = 2.0
-"""Random walk of the speeds about rest, rad/s per square root of a second. A filter that is surer of
-its speed can lose a count and not find back: errors then leap where a parameter hardly changes, and
-the search stops at the next leap."""
+"""Random walk of the speeds about rest, rad/s per square root of a second. A filter that is surer
+of its speed can lose a count and not find back: errors then leap where a parameter hardly changes,
+and the search stops at the next leap."""
 
 LEAST_INFORMED = 0.01
 """Part 1 - rho of the angle's variance that is taken away, from which on it divides: below it a
