@@ -105,6 +105,10 @@ LEAST_INFORMED = 0.01
 """Part 1 - rho of the angle's variance that is taken away, from which on it divides: below it a
 count says nothing."""
 
+ANGLE_ERROR = 3.0
+"""Error of an angle, in standard deviations of its prediction: what the equations leave out is
+alike in all turns. With 1, parameters were off by up to four of their uncertainties."""
+
 
 @dataclass(frozen=True, eq=False)
 class Exploration:
@@ -317,7 +321,7 @@ class RestProblem:
 class TurnsProblem(RestProblem):
     """The same of the angles that the filter predicts, in standard deviations: e of the module."""
 
-    keep, alike, scale = True, 1.0, 1.0
+    keep, alike, scale = True, 1.0, ANGLE_ERROR
 
     def of(self, found: Estimate) -> Array:
         """Return by how much the angles were corrected (r,)."""

@@ -174,6 +174,7 @@ def test_turns_of_fast_strokes_show_the_inertia():
     assert after == pytest.approx(true, rel=0.004)
     inertia = len(SLIDING_PARAMETERS) + list(FRICTIONS).index(Kind.INERTIA)
     assert found.covariance[inertia, inertia] < truth.covariance[inertia, inertia] / 4
+    assert abs(after - true) < 2 * np.sqrt(found.covariance[inertia, inertia])
 
 
 def test_they_show_drag_besides():
