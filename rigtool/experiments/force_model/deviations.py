@@ -48,12 +48,13 @@ class Deviations:
 
 @dataclass(frozen=True, eq=False)
 class _Stroke:
-    """Covariance (m, m) of `count` strokes at their rows, and shapes there (3, m)."""
+    """What strokes deviate by at their rows (strokes, m), and there (m, m) the products of shapes
+    that each stroke draws anew and in proportion to the load, and the time between rows, s."""
 
-    covariance: Array
-    count: int
-    shapes: Array
-    time: Array
+    own: Array
+    alike: Array
+    loaded: Array
+    apart: Array
 
 
 def deviations(records: Sequence[Record], angle_ratio: float, torque_factor: float) -> Deviations:
@@ -64,7 +65,7 @@ def deviations(records: Sequence[Record], angle_ratio: float, torque_factor: flo
     from scipy.optimize import minimize
 
     strokes = [s for r in records if r.cycles > 2 for s in _strokes(r, angle_ratio, torque_factor)]
-    size = max((float(np.sqrt(np.mean(np.diag(s.covariance)))) for s in strokes), default=1e-4)
+    size = max((float(np.sqrt(np.mean(s.own**2))) for s in strokes), default=1e-4)
     start = np.log([size, 0.01, size, 0.1])
     if not strokes:
         return Deviations(*np.exp(start).tolist())
@@ -77,16 +78,11 @@ def deviations(records: Sequence[Record], angle_ratio: float, torque_factor: flo
         memory = np.sqrt(memory)
         total = 0.01 * float(np.sum((x - start) ** 2))
         for s in strokes:
-            lag = np.abs(s.time[:, None] - s.time)
-            whole = (
-                stroke * (s.shapes[:2].T @ s.shapes[:2])
-                + load * np.outer(s.shapes[2], s.shapes[2])
-                + noise * np.exp(-lag / memory)
-                + white * np.eye(len(lag))
-            )
+            whole = stroke * s.alike + load * s.loaded + noise * np.exp(-s.apart / memory)
+            whole[np.diag_indices_from(whole)] += white
             factor = np.linalg.cholesky(whole)
-            total += s.count * 2 * float(np.sum(np.log(np.diag(factor))))
-            total += s.count * float(np.trace(np.linalg.solve(whole, s.covariance)))
+            total += len(s.own) * 2 * float(np.sum(np.log(np.diag(factor))))
+            total += float(np.sum(s.own.T * np.linalg.solve(whole, s.own.T)))
         return total
 
     found = minimize(cost, start, method="Nelder-Mead", options={"maxiter": 300, "fatol": 0.5})
@@ -99,7 +95,7 @@ def _strokes(record: Record, angle_ratio: float, torque_factor: float) -> list[_
     angle = record.rows(record.angle) / angle_ratio
     speed = record.rows(record.speed)
     left = record.torques - record.torques.mean(axis=0)
-    time = np.arange(record.count) / ROWS_HZ
+    place = np.arange(record.count) / ROWS_HZ
     for sign in (1.0, -1.0):
         rows = np.flatnonzero(used & (speed * sign > 0))
         cut = np.flatnonzero(np.diff(rows) > 1)
@@ -112,14 +108,10 @@ def _strokes(record: Record, angle_ratio: float, torque_factor: float) -> list[_
             continue
         a = angle[rows]
         carried = np.abs(record.moment * np.sin(a)) / torque_factor
-        found.append(
-            _Stroke(
-                own.T @ own / len(own),
-                len(own),
-                sign * np.stack([np.sin(a), np.cos(a), carried]),
-                np.unwrap(time[rows], period=record.count / ROWS_HZ),
-            )
-        )
+        time = np.unwrap(place[rows], period=record.count / ROWS_HZ)
+        sides = np.stack([np.sin(a), np.cos(a)])
+        apart = np.abs(time[:, None] - time)
+        found.append(_Stroke(own, sides.T @ sides, np.outer(carried, carried), apart))
     return found
 
 

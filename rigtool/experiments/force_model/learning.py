@@ -14,7 +14,7 @@ a stroke, deviations X b, b ~ N(0, S), and white noise of variance v,
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.model import (
+    FIXED,
     Known,
     Prediction,
     RecordState,
@@ -256,6 +257,35 @@ def _start(sizes: Sizes, known: Known, count: float, stretch: float) -> Shape:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Stroke:
+    """A stroke's used rows `inside` those of a record, the `shapes` in which it deviates (k, rows),
+    the sums of their squares (k, k), and the `variances` of the deviations (k,)."""
+
+    inside: slice
+    shapes: Array
+    squares: Array
+    variances: Array
+
+    def with_noise(self, variance: float) -> Array:
+        """Return v S^-1 + X'X of the module (k, k) for a variance of white noise."""
+        found: Array = np.diag(variance / self.variances) + self.squares
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class _AtShape:
+    """A record at one shape: its state, the terms' functions `values` (t, n), used `rows` of them
+    and, last, of what is measured (t + 1, r), sums of their `squares` (t + 1, t + 1), and products
+    with each stroke's shapes (t + 1, k)."""
+
+    state: RecordState
+    values: Array
+    rows: Array
+    squares: Array
+    crosses: list[Array]
+
+
 class Problem:
     """Records, terms and priors; see the module. `friction` N m is that of the rig, about."""
 
@@ -277,59 +307,68 @@ class Problem:
             [float(record.passes) for record in records]
         )
         self.variance = (0.1 * friction) ** 2 * self._rows
-        self._at_shape: dict[int, tuple[RecordState, Array, Array, Array]] = {}
-        self.strokes = [_strokes(record, start.housing_length) for record in records]
+        self._at_shape: dict[int, _AtShape] = {}
+        self._strokes = [self._own(record) for record in records]
+        self._bent = [n for n, term in enumerate(terms) if term.kind not in FIXED]
 
-    def rows(self, number: int, shape: Shape, coefficient: Array | None) -> tuple[Array, Array]:
-        """Return rows of a record: [shape's derivatives, terms] (p, rows), and right-hand side."""
-        record, at_shape = self.records[number], self._at_shape.get(number)
-        if at_shape is None or at_shape[0].shape != shape:
-            at_shape = self._at_shape[number] = self._functions(record, shape)
-        state, values, columns, right = at_shape
-        if coefficient is None:
-            return columns, right
-        predicted = Prediction(self.terms, coefficient, values, shape, state)
-        return np.vstack([record.rows(slopes(predicted, state)), columns]), right
-
-    def _functions(self, record: Record, shape: Shape) -> tuple[RecordState, Array, Array, Array]:
-        """Return state, functions (t, n), their rows, and those of what is measured."""
+    def _at(self, number: int, shape: Shape) -> _AtShape:
+        """Return what a record has at a shape; of the last one, what no shape changes is kept."""
+        record, last = self.records[number], self._at_shape.get(number)
+        if last is not None and last.state.shape == shape:
+            return last
         state = RecordState.of(shape, self.known, record)
-        values = functions(self.terms, state)
         carried = state.carried / self.known.torque_factor
-        right = record.rows(measured(record, self.known) - carried)
-        return state, values, record.rows(values), right
+        right = record.rows(measured(record, self.known) - carried)[record.used]
+        if last is None:
+            values = functions(self.terms, state)
+            rows = record.rows(values)[:, record.used]
+        else:
+            values, rows = last.values, last.rows[:-1]
+            values[self._bent] = functions([self.terms[n] for n in self._bent], state)
+            rows[self._bent] = record.rows(values[self._bent])[:, record.used]
+        rows = np.vstack([rows, right])
+        crosses = [rows[:, one.inside] @ one.shapes.T for one in self._strokes[number]]
+        found = self._at_shape[number] = _AtShape(state, values, rows, rows @ rows.T, crosses)
+        return found
 
-    def own(self, number: int, shape: Shape) -> Iterator[tuple[slice, Array, Array]]:
-        """Yield for each stroke its used rows, the shapes in which it deviates (k, rows) and their
-        variances (k,)."""
-        record = self.records[number]
-        z = bristle(record.angle, shape.housing_length, record.periodic)
+    def _own(self, record: Record) -> list[_Stroke]:
+        """Return the strokes of a record."""
+        z = bristle(record.angle, self.start.housing_length, record.periodic)
         a = record.angle / self.known.angle_ratio
         shapes = [z * np.sin(a), z * np.cos(a)]
         variances = [self.deviation.stroke**2] * 2
         if record.moment:
             shapes.append(z * record.moment * np.abs(np.sin(a)) / self.known.torque_factor)
             variances.append(self.deviation.load**2)
-        used = record.used
-        rows = record.rows(np.stack(shapes))[:, used]
-        stroke = self.strokes[number][used]
+        rows = record.rows(np.stack(shapes))[:, record.used]
+        stroke = _strokes(record, self.start.housing_length)[record.used]
         bounds = np.flatnonzero(np.diff(stroke)) + 1
+        own = np.array(variances) / max(record.cycles, 1)
+        found = []
         for first, last in zip([0, *bounds], [*bounds, len(stroke)], strict=True):
-            inside = slice(int(first), int(last))
-            yield inside, rows[:, inside], np.array(variances) / max(record.cycles, 1)
+            x = rows[:, int(first) : int(last)]
+            found.append(_Stroke(slice(int(first), int(last)), x, x @ x.T, own))
+        return found
 
     def sums(self, number: int, shape: Shape, coefficient: Array | None) -> Array:
-        """Return the record's normal matrix, right-hand side last, weighted."""
-        columns, right = self.rows(number, shape, coefficient)
-        whole = np.vstack([columns, right])[:, self.records[number].used]
-        v = self.variance[number]
-        normal = np.zeros((len(whole), len(whole)))
-        for inside, x, variances in self.own(number, shape):
-            block = whole[:, inside]
-            cross = block @ x.T
-            normal += block @ block.T
-            normal -= cross @ np.linalg.solve(np.diag(v / variances) + x @ x.T, cross.T)
+        """Return the record's normal matrix, right-hand side last, weighted.
+
+        Where coefficients (t,) are given, the shape's derivatives come first.
+        """
+        at, record, v = self._at(number, shape), self.records[number], self.variance[number]
+        normal, crosses, strokes = at.squares, at.crosses, self._strokes[number]
+        if coefficient is not None:
+            predicted = Prediction(self.terms, coefficient, at.values, shape, at.state)
+            moves = record.rows(slopes(predicted, at.state))[:, record.used]
+            beside = moves @ at.rows.T
+            normal = np.block([[moves @ moves.T, beside], [beside.T, normal]])
+            crosses = [
+                np.vstack([moves[:, one.inside] @ one.shapes.T, cross])
+                for one, cross in zip(strokes, crosses, strict=True)
+            ]
         weighted: Array = normal / v
+        for one, cross in zip(strokes, crosses, strict=True):
+            weighted -= cross @ np.linalg.solve(one.with_noise(v), cross.T) / v
         return weighted
 
     def normal(self, shape: Shape, coefficient: Array | None) -> Array:
@@ -382,11 +421,11 @@ class Problem:
 
     def remaining(self, number: int, shape: Shape, coefficient: Array) -> Array:
         """Return the residuals of coefficients (t,) and strokes' deviations at used rows (r,)."""
-        columns, right = self.rows(number, shape, None)
-        left: Array = (right - coefficient @ columns)[self.records[number].used]
-        v = self.variance[number]
-        for inside, x, variances in self.own(number, shape):
-            left[inside] -= np.linalg.solve(np.diag(v / variances) + x @ x.T, x @ left[inside]) @ x
+        rows, v = self._at(number, shape).rows, self.variance[number]
+        left: Array = rows[-1] - coefficient @ rows[:-1]
+        for one in self._strokes[number]:
+            x, inside = one.shapes, one.inside
+            left[inside] -= np.linalg.solve(one.with_noise(v), x @ left[inside]) @ x
         return left
 
 

@@ -40,6 +40,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import cached_property
 
 import numpy as np
 
@@ -117,7 +118,7 @@ _OF_TENDON = ("stiffness", "damping", "grasper_inertia", "tip_friction", "tip_le
 """Parameters of a shape on which the tendon depends."""
 
 _LAGGING = (Kind.RIPPLE, Kind.GAIN_RIPPLE, Kind.SQUARE_RIPPLE)
-_FIXED = (Kind.OFFSET, Kind.INERTIA, Kind.VISCOUS, Kind.COGGING, Kind.DELAY)
+FIXED = (Kind.OFFSET, Kind.INERTIA, Kind.VISCOUS, Kind.COGGING, Kind.DELAY)
 """Kinds that lag, and those that no shape changes."""
 
 
@@ -143,7 +144,7 @@ class Prediction:
     ) -> None:
         """`values` (t, n) are the `functions` of the terms for this shape, `state` its state."""
         self._shape, self._state = shape, state
-        fixed = [n for n, term in enumerate(terms) if term.kind in _FIXED]
+        fixed = [n for n, term in enumerate(terms) if term.kind in FIXED]
         lagging = [n for n, term in enumerate(terms) if term.kind in _LAGGING]
         self._fixed = coefficient[fixed] @ values[fixed]
         self._lagged = coefficient[lagging] @ values[lagging]
@@ -216,6 +217,18 @@ class RecordState:
         )
         return replace(self, carried=carried, output=output)
 
+    @cached_property
+    def _turns(self) -> list[Array]:
+        return [np.exp(1j * self.output)]
+
+    def _wave(self, term: Term) -> Array:
+        """Return the term's order of the output's angle (n,): products, not each order anew."""
+        turns = self._turns
+        while len(turns) < term.order:
+            turns.append(turns[-1] * turns[0])
+        turn = turns[term.order - 1]
+        return turn.imag if term.quarter else turn.real
+
     def function(self, term: Term) -> Array:
         """Return a term along the record (n,), ripple before its lag."""
         record, kind = self.record, term.kind
@@ -235,7 +248,7 @@ class RecordState:
         if kind is Kind.DELAY:
             return record.torque_constant * record.current_rate
         if kind in (Kind.HOUSING, Kind.HOUSING_SIDED, Kind.LOAD_FRICTION):
-            value = wave(term, self.output) * self.housing
+            value = self._wave(term) * self.housing if term.order else self.housing.copy()
             if kind is Kind.HOUSING_SIDED:
                 value *= self.housing
             if kind is Kind.LOAD_FRICTION:

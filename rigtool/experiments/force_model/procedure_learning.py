@@ -10,7 +10,7 @@ import numpy as np
 
 from rigtool.experiments.controller_torque import LOOP_CHANNELS as LOOP_CHANNELS
 from rigtool.experiments.controller_torque import LoopSignals, loop_signals, naming
-from rigtool.experiments.force_filter.estimate import Filter, Signals, smoothed
+from rigtool.experiments.force_filter.estimate import Filter, smoothed
 from rigtool.experiments.force_filter.motion_states import CREEP_SPEED_RATIO, Judge, Moments, Reach
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED
 from rigtool.experiments.force_model.contacts import Trial, thresholds, trial
@@ -33,7 +33,6 @@ from rigtool.experiments.force_model.rest import (
     learn_rest,
     learn_turns,
 )
-from rigtool.experiments.force_model.steps import FilterSteps, Sampler
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.numerics.lowpass import delayed, lowpass
 from rigtool.quantity import STANDARD_GRAVITY
@@ -49,9 +48,6 @@ FREE_TIME = 14.0
 
 FREE_SPEED = 2.0
 """Highest speed of free motion, rev/s of the output, where that was learned."""
-
-STEP_TIME = 1e-3
-"""Time of a step of the filter, s."""
 
 COMPARED_SPEEDS = 2
 """Of the strokes under known loads, the slowest: errors of those without load and of those with the
@@ -126,24 +122,23 @@ def learn_force(
     kept = math.sqrt(kept_by_mean(records, known.angle_ratio))
     of_means = replace(deviating, stroke=kept * deviating.stroke, load=kept * deviating.load)
     sliding = learn_sliding(records, known, own.count, of_means)
-    shown = Exploration(signals.encoder, signals.total, interval, own.torque_constant, own.count)
     uncertainty = ForceModel(sliding.learned, deviating).uncertainty
-    rested = learn_rest(sliding.learned, shown, uncertainty, STEP_TIME)
+    found = learn_rest(sliding.learned, _motion(signals, own), uncertainty)
     if moves:
         under = _condition(recipe, kt, warm, 0.0)
         least = TURNING_SPEED_RATIO * max(r.condition("speed") for r in moves)
-        turns = [_turning(r, recipe, under) for r in moves if r.condition("speed") >= least]
-        rested = learn_turns(rested, turns, ForceModel(rested, deviating).untouched, STEP_TIME)
-    model = ForceModel(rested, deviating)
+        turns = [_signals(r, recipe) for r in moves if r.condition("speed") >= least]
+        found = learn_turns(found, [_motion(turn, under) for turn in turns], uncertainty)
+    model = ForceModel(found, deviating)
     slowest = min(r.condition("speed") for r in strokes)
     creeping = CREEP_SPEED_RATIO * slowest
     if checks:
         errors = [_errors(r, recipe, kt, model, creeping) for r in checks]
         fitted = [_errors(r, recipe, kt, model, creeping) for r in _compared(strokes)]
-        found = scales([*errors, *(replace(own, fitted=True) for own in fitted)])
+        widths = scales([*errors, *(replace(own, fitted=True) for own in fitted)])
         # as far as the known loads are off, so is all that is read in terms of them
-        found[..., 1] = np.hypot(found[..., 1], rig.loads_relative_u)
-        model = replace(model, scales=found)
+        widths[..., 1] = np.hypot(widths[..., 1], rig.loads_relative_u)
+        model = replace(model, scales=widths)
     slow, faster = untouched_motions(strokes, moves)
     free = [_known(r, recipe, kt) for r in (explored, *slow)]
     free += [(_signals(r, recipe), _condition(recipe, kt, warm, 0.0)) for r in faster]
@@ -151,16 +146,6 @@ def learn_force(
     # Faster motion with smaller errors must not lower the thresholds of slow motion
     limits = np.maximum(thresholds(tried), thresholds(tried[: 1 + len(slow)]))
     return LearnedForce(replace(model, limits=limits), sliding, loaded, scatter)
-
-
-def _turning(recording: Recording, recipe: Recipe, under: LoadCase) -> Exploration:
-    """Return moves without load as an exploration, of which the model deviates by strokes."""
-    own = _signals(recording, recipe)
-    stroke_time = float(np.ptp(own.encoder) * under.count / recording.condition("speed"))
-    torque_constant = under.torque_constant
-    return Exploration(
-        own.encoder, own.total, _interval(own), torque_constant, under.count, stroke_time
-    )
 
 
 def untouched_motions(
@@ -190,15 +175,10 @@ def _known(recording: Recording, recipe: Recipe, kt: Run) -> tuple[LoopSignals, 
     return _signals(recording, recipe), _condition(recipe, kt, degc, force)
 
 
-def _input(own: LoopSignals, under: LoadCase, model: ForceModel) -> Signals:
-    """Return the filter's input from a recording."""
-    constant = np.full(len(own.encoder), under.torque_constant)
-    known = np.array([own.encoder, own.total, constant])
-    return Sampler(_grid(own, under), under.count, model.drive).add(known, last=True)[0]
-
-
-def _grid(own: LoopSignals, under: LoadCase) -> FilterSteps:
-    return FilterSteps.of(_interval(own), 2 * under.lead)
+def _motion(own: LoopSignals, under: LoadCase) -> Exploration:
+    """Return a recording as the filter takes it."""
+    interval, constant = _interval(own), under.torque_constant
+    return Exploration(own.encoder, own.total, interval, constant, under.count, 2 * under.lead)
 
 
 def _trial(
@@ -206,8 +186,9 @@ def _trial(
 ) -> Trial:
     """Return the tests for contacts along a motion in which nothing touches; a sliding rotor
     creeps below `slow` rad/s."""
-    grid, corner_hz = _grid(own, under), recipe.measure_force.motion.corner_hz
-    signals, plant = _input(own, under, model), model.plant(grid.sample_time)
+    motion, corner_hz = _motion(own, under), recipe.measure_force.motion.corner_hz
+    grid, signals = motion.grid, motion.under(model.drive)
+    plant = model.plant(grid.sample_time)
     causal, untouched = (
         Filter(plant, u, grid.step_samples, corner_hz).add(signals)
         for u in (model.uncertainty, model.untouched)
@@ -227,8 +208,8 @@ def _errors(
     What acts is a hanging load that swings on its tendon: F r sin a + J a''.
     """
     own, under = _known(recording, recipe, kt)
-    grid, corner_hz = _grid(own, under), recipe.measure_force.motion.corner_hz
-    signals = _input(own, under, model)
+    motion, corner_hz = _motion(own, under), recipe.measure_force.motion.corner_hz
+    grid, signals = motion.grid, motion.under(model.drive)
     filtered = model.plant(grid.sample_time), model.uncertainty, grid.step_samples, corner_hz
     causal = Filter(*filtered).add(signals)
     torque, deviation = smoothed(*filtered, signals)

@@ -1,4 +1,4 @@
-"""Learning from rest and reversals: the filter itself is run, with nothing on the output.
+"""Learning from rest, reversals and fast turns: the filter itself is run, nothing on the output.
 
 Within a count the rotor's angle is not seen, and that is where bristles bend: a balance of torques
 at known angles cannot say how long they are. The filter of `kalman` carries the angle along between
@@ -7,19 +7,30 @@ which depends smoothly on lengths of bristles and on how friction is shared betw
 squares over these few parameters, with what sliding showed as their prior, and in proportion to
 that everything else with them. Large errors count in proportion (P. J. Huber, Ann. Math. Stat.
 35(1) 73-101, 1964).
+
+Turns of fast strokes show inertia, drag and friction by the angles themselves. A filter that knows
+that nothing acts predicts each angle with a standard deviation s; that the angle lies in its count
+then moves it by d s and leaves the part rho of its variance, and
+
+    e = d / sqrt(1 - rho)
+
+has the mean 0 and the variance 1 if the model holds: the parameters are those of the least sum of
+e^2 (prediction errors: K. J. Astrom, Automatica 16(5) 551-574, 1980). The least torque would be
+biased: how much of an error a filter takes for torque depends on the parameters, too.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
-from rigtool.experiments.force_filter.estimate import Filter, Signals
+from rigtool.experiments.force_filter.estimate import Estimate, Filter, Signals
 from rigtool.experiments.force_filter.kalman import Uncertainty
-from rigtool.experiments.force_model.drive import drive_of, plant_of
+from rigtool.experiments.force_model.drive import MotorMap, drive_of, plant_of
 from rigtool.experiments.force_model.learning import (
     SLIDING_PARAMETERS,
     LearnedModel,
@@ -27,6 +38,7 @@ from rigtool.experiments.force_model.learning import (
     stepped_shape,
 )
 from rigtool.experiments.force_model.model import Kind
+from rigtool.experiments.force_model.steps import FilterSteps, Sampler
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.lowpass import delayed
 
@@ -43,7 +55,17 @@ BY_REST = Shown(
     ("tip_length", "stribeck_speed"),
     (Kind.BEARING, Kind.STRIBECK, Kind.BEARING_DAMPING, Kind.HOUSING, Kind.HOUSING_SIDED),
 )
-BY_TURNS = Shown(("grasper_inertia",), (Kind.INERTIA, Kind.DELAY))
+BY_TURNS = Shown(
+    ("grasper_inertia",),
+    (
+        Kind.INERTIA,
+        Kind.DELAY,
+        Kind.VISCOUS,
+        Kind.BEARING,
+        Kind.HOUSING,
+        Kind.HOUSING_SIDED,
+    ),
+)
 """What rest and reversals determine, and what the turns of fast strokes do."""
 
 CORNER_HZ = 10.0
@@ -63,8 +85,8 @@ short one's share of the friction; the best of all."""
 
 HUBER_THRESHOLD = 2.0
 MAX_ITERATIONS = 8
-SMALLEST_GAIN = 0.01
-"""Part of the cost below which a gain ends the search."""
+SMALLEST_GAIN = 1.0
+"""Gain of the sum of squares, in variances, below which the search ends."""
 
 PARAMETER_STEP = 0.05
 LONGEST_PARAMETER_STEP = 2.0
@@ -75,71 +97,73 @@ UNTOUCHED_RANDOM_WALK = 1e-3
 that expects contacts would take for one is an error of the model."""
 
 SPEED_RATE = 2.0
-"""Random walk of the speeds in a first search, rad/s per square root of a second. A filter that is
-surer of its speed can lose a count and not find back: errors then leap where a parameter hardly
-changes, and the search stops at the next leap. Near its end, a second search has the random walk of
-the filter that reads forces: what the first one finds is best for another filter."""
+"""Random walk of the speeds about rest, rad/s per square root of a second. A filter that is surer
+of its speed can lose a count and not find back: errors then leap where a parameter hardly changes,
+and the search stops at the next leap."""
 
-SAMPLES_PER_STEP = 2
-"""Samples of the loop in one sample of the filter here, which halves the time."""
+LEAST_INFORMED = 0.01
+"""Part 1 - rho of the angle's variance that is taken away, from which on it divides: below it a
+count says nothing."""
+
+ANGLE_ERROR = 3.0
+"""Error of an angle, in standard deviations of its prediction: what the equations leave out is
+alike in all turns. With 1, parameters were off by up to four of their uncertainties."""
 
 
 @dataclass(frozen=True, eq=False)
 class Exploration:
     """A motion with nothing on the output: `encoder` counts and `current` A (n,), every
-    `sample_time` s; `torque_constant` N m/A, `count` rad. A deviation of the model lasts for
-    `deviation_time`, s."""
+    `sample_time` s of a loop of `loop_time` s; `torque_constant` N m/A, `count` rad."""
 
     encoder: Array
     current: Array
     sample_time: float
     torque_constant: float
     count: float
-    deviation_time: float = DEVIATION_TIME
+    loop_time: float
+
+    @property
+    def grid(self) -> FilterSteps:
+        """Samples and steps of the filter."""
+        return FilterSteps.of(self.sample_time, self.loop_time)
+
+    def under(self, drive: MotorMap) -> Signals:
+        """Return the filter's input for a drive."""
+        constant = np.full(len(self.encoder), self.torque_constant)
+        known = np.array([self.encoder, self.current, constant])
+        return Sampler(self.grid, self.count, drive).add(known, last=True)[0]
 
 
 def learn_rest(
-    learned: LearnedModel, exploration: Exploration, uncertainty: Uncertainty, step_time: float
+    learned: LearnedModel, exploration: Exploration, uncertainty: Uncertainty
 ) -> LearnedModel:
-    """Return the model, improved by an exploration of rest and reversals.
-
-    `step_time` s is that of the filter.
-    """
-    searched = held(uncertainty)
-    problem = RestProblem(learned, [exploration], searched, step_time, BY_REST)
-    near = problem.parameters(problem.solution(problem.tried()))
-    used = replace(searched, speed_rate=uncertainty.speed_rate)
-    return RestProblem(learned, [exploration], used, step_time, BY_REST).solution([near])
+    """Return the model, improved by an exploration of rest and reversals."""
+    unsure = replace(held(uncertainty), speed_rate=SPEED_RATE)
+    problem = RestProblem(learned, [exploration], unsure, BY_REST)
+    return problem.solution(problem.tried())
 
 
 def held(uncertainty: Uncertainty) -> Uncertainty:
-    """Return the uncertainty with which rest is learned: of hardly any torque on the output."""
+    """Return the uncertainty with which all this is learned: of hardly any torque on the output."""
     return replace(
         uncertainty,
         torque_rate=UNTOUCHED_RANDOM_WALK,
         slow_torque_rate=UNTOUCHED_RANDOM_WALK,
         step_torque_rate=UNTOUCHED_RANDOM_WALK,
-        speed_rate=SPEED_RATE,
     )
 
 
 def learn_turns(
-    learned: LearnedModel,
-    strokes: Sequence[Exploration],
-    uncertainty: Uncertainty,
-    step_time: float,
+    learned: LearnedModel, strokes: Sequence[Exploration], uncertainty: Uncertainty
 ) -> LearnedModel:
-    """Return the model with the inertia that the turns of fast strokes without load show.
+    """Return the model with the inertia, delay, drag and friction that the turns of fast strokes
+    without load show.
 
     The strokes have several speeds, but samples of one length: inertia grows with the speed squared
-    at a turn, and what else is off there does not.
-
-    Sliding shows the inertia little, as turns are left out there; here friction about a turn is
-    that which `learn_rest` found. `uncertainty` is that of a filter that expects no contact;
-    `step_time` s is that of the filter.
+    at a turn, and what else is off there does not. Sliding shows the inertia little, as turns are
+    left out there.
     """
-    problem = RestProblem(learned, strokes, uncertainty, step_time, BY_TURNS)
-    return problem.solution([])
+    return TurnsProblem(learned, strokes, held(uncertainty), BY_TURNS).solution([])
 
 
 class RestProblem:
@@ -153,18 +177,10 @@ class RestProblem:
         learned: LearnedModel,
         explorations: Sequence[Exploration],
         uncertainty: Uncertainty,
-        step_time: float,
         shown: Shown,
     ) -> None:
-        self.learned, self.uncertainty = learned, uncertainty
-        self._inputs = [_Inputs(exploration) for exploration in explorations]
-        self._sample_time = self._inputs[0].sample_time
-        self.step_samples = max(1, round(step_time / self._sample_time))
-        self._rate = rate = 1 / (self.step_samples * self._sample_time)
-        self._first, self._apart = round(FILTER_SETTLING_TIME * rate), max(1, round(rate / ROWS_HZ))
-        alike = [max(1.0, one.deviation_time * ROWS_HZ) for one in explorations]
-        # of each error, the square root of how many are alike
-        self.alike = np.sqrt(np.repeat(alike, [self._count(one) for one in self._inputs]))
+        self.learned, self.uncertainty, self.explorations = learned, uncertainty, explorations
+        self.grid = explorations[0].grid
         named = [SLIDING_PARAMETERS.index(name) for name in shown.shape]
         listed = [
             len(SLIDING_PARAMETERS) + n
@@ -179,12 +195,19 @@ class RestProblem:
         self.covariance = np.zeros((len(self.start), len(self.start)))
         self.covariance[:2, :2] = np.diag(learned.length_u**2)
         self.covariance[2:, 2:] = own
-        plant = plant_of(learned, self._sample_time)
+        plant = plant_of(learned, self.grid.sample_time)
         self.friction = plant.coulomb + plant.housing_friction
 
-    def _count(self, inputs: _Inputs) -> int:
-        """Return how many errors there are of an exploration."""
-        return len(range(self._first, (inputs.size - 1) // self.step_samples, self._apart))
+    keep = False
+    """Whether the filter keeps what its steps did."""
+
+    alike = math.sqrt(DEVIATION_TIME * ROWS_HZ)
+    """Square root of how many errors are alike."""
+
+    @property
+    def scale(self) -> float:
+        """Size of an error, N m."""
+        return ROW_ERROR * self.friction
 
     def model(self, parameters: Array) -> LearnedModel:
         """Return the model with parameters (p,), all others moved as far as they go with them."""
@@ -205,18 +228,23 @@ class RestProblem:
         return np.concatenate([lengths, every[self.shown]])
 
     def errors(self, parameters: Array) -> Array:
-        """Return the torque that the filter finds although none acts, low-passed (r,), N m."""
+        """Return the errors (r,) of a model, infinite where it is physically impossible."""
         model = self.model(parameters)
-        plant = plant_of(model, self._sample_time)
+        plant = plant_of(model, self.grid.sample_time)
         if not plant_is_sound(plant):
-            return np.full(self.alike.size, np.inf)
-        parts = []
-        for inputs in self._inputs:
-            found = Filter(plant, self.uncertainty, self.step_samples, CORNER_HZ)
-            torque = found.add(inputs.under(model)).torque
-            passed = delayed(self._rate, torque, CORNER_HZ)
-            parts.append(passed[self._first :: self._apart])
+            return np.array([np.inf])
+        drive, parts = drive_of(model), []
+        for exploration in self.explorations:
+            found = Filter(plant, self.uncertainty, self.grid.step_samples, CORNER_HZ)
+            parts.append(self.of(found.add(exploration.under(drive), keep=self.keep)))
         return np.concatenate(parts)
+
+    def of(self, found: Estimate) -> Array:
+        """Return the torque that the filter finds although none acts, low-passed (r,), N m."""
+        rate = 1 / self.grid.step_time
+        passed = delayed(rate, found.torque, CORNER_HZ)
+        every = max(1, round(rate / ROWS_HZ))
+        return passed[round(FILTER_SETTLING_TIME * rate) :: every]
 
     def tried(self) -> Iterator[Array]:
         """Yield parameters (p,) on a grid of lengths and of the bearing's share of friction."""
@@ -242,17 +270,17 @@ class RestProblem:
         Its covariance comes from both.
         """
         root: Array = np.asarray(np.linalg.cholesky(self.covariance), dtype=np.float64)
-        scale = ROW_ERROR * self.friction * self.alike
-        count = len(self.start)
+        scale, count = self.scale * self.alike, len(self.start)
 
         def cost(x: Array) -> Array:
             return np.append(self.errors(self.start + root @ x) / scale, x)
 
         def slope(way: Array) -> Array:
-            there = cost(here + PARAMETER_STEP * way) - left
+            step = PARAMETER_STEP * way
+            there = cost(here + step)
             if not np.all(np.isfinite(there)):  # beyond what is physically possible
-                there = left - cost(here - PARAMETER_STEP * way)
-            return there / PARAMETER_STEP
+                there, step = cost(here - step), -step
+            return (there - left) / float(step @ way)
 
         apart = [one - self.start for one in (self.start, *begins)]
         tried = [np.asarray(np.linalg.solve(root, one), dtype=np.float64) for one in apart]
@@ -271,13 +299,14 @@ class RestProblem:
                 change = -np.linalg.solve(lifted, slopes.T @ (weight * left))
                 change *= min(1.0, LONGEST_PARAMETER_STEP / float(np.abs(change).max()))
                 there = cost(here + change)
-                gained = before - float(weight @ there**2)
+                sound = bool(np.all(np.isfinite(there)))
+                gained = before - float(weight @ there**2) if sound else -1.0
                 if gained > 0:
                     here = np.add(here, change)
                     left, damping = there, damping / 4
                     break
                 damping = max(4 * damping, 0.1)
-            if gained < SMALLEST_GAIN * before:
+            if gained < SMALLEST_GAIN:
                 break
         return self._learned(np.asarray(here, dtype=np.float64), root, information)
 
@@ -289,30 +318,20 @@ class RestProblem:
         return replace(model, covariance=covariance, length_u=np.sqrt(np.diag(found)[:2]))
 
 
+class TurnsProblem(RestProblem):
+    """The same of the angles that the filter predicts, in standard deviations: e of the module."""
+
+    keep, alike, scale = True, 1.0, ANGLE_ERROR
+
+    def of(self, found: Estimate) -> Array:
+        """Return by how much the angles were corrected (r,)."""
+        assert found.kept is not None
+        moved, informed, variance = found.kept[2:5]
+        errors: Array = moved * np.sqrt(variance / np.maximum(informed, LEAST_INFORMED))
+        return errors[round(FILTER_SETTLING_TIME / self.grid.step_time) :]
+
+
 def plant_is_sound(plant: object) -> bool:
     """Return whether frictions are physically possible."""
     values = [getattr(plant, name) for name in ("coulomb", "static", "housing_friction", "inertia")]
     return min(values) > 0
-
-
-class _Inputs:
-    """What the filter takes, means of `SAMPLES_PER_STEP` samples of the loop."""
-
-    def __init__(self, exploration: Exploration) -> None:
-        size = self.size = len(exploration.encoder) // SAMPLES_PER_STEP
-        self.sample_time = SAMPLES_PER_STEP * exploration.sample_time
-        self._exploration = exploration
-        thinned = exploration.current[: size * SAMPLES_PER_STEP].reshape(size, SAMPLES_PER_STEP)
-        self._current = thinned.mean(axis=1)
-        self._low = (
-            exploration.encoder[SAMPLES_PER_STEP // 2 : size * SAMPLES_PER_STEP : SAMPLES_PER_STEP]
-            * exploration.count
-        )
-
-    def under(self, model: LearnedModel) -> Signals:
-        """Return the filter's input where a model holds."""
-        own = self._exploration
-        torque, viscous = drive_of(model).torque(
-            self._low + own.count / 2, self._current, own.torque_constant, self.sample_time
-        )
-        return Signals(torque, viscous, self._low, own.count)
