@@ -44,8 +44,9 @@ FINE = 1.5
 SLIDING_COUNT_RATE = 160.0
 """Counts a second below which a rotor does not slide evenly."""
 
-COUNTS_AFTER_TURN = 25.0
-"""Counts after a turn that are left out: bristles are bent again, however long they are."""
+COUNTS_AFTER_TURN, AFTER_TURN_PART = 25.0, 1 / 70
+"""Counts, and part of the way, after a turn that are left out at least: bristles are bent again,
+however long they are."""
 
 LOW_PASS_SPREAD = 0.04
 """Time over which the low-pass spreads a sample to either side, s."""
@@ -288,7 +289,8 @@ def _sliding(
 
     More slowly the loop nudges the rotor from count to count, to and fro within them unseen.
     """
-    bent = bristle(angle, COUNTS_AFTER_TURN * count / 4, periodic)
+    after_turn = max(COUNTS_AFTER_TURN * count, AFTER_TURN_PART * float(np.ptp(angle)))
+    bent = bristle(angle, after_turn / 4, periodic)
     slides = (np.abs(bent) > 1 - np.exp(-4.0)) & (
         setpoint_speed * np.sign(bent) > SLIDING_COUNT_RATE * count
     )

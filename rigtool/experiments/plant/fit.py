@@ -10,8 +10,8 @@ Residuals are logarithms of measured over modelled response, magnitude and phase
 by their scatter (logarithmic least squares: Pintelon & Schoukens, System Identification, 2nd
 edition, Wiley 2012, section 9.8).
 
-A second mass is fitted only where the rigid plant deviates by more than the scatter explains, and
-accepted only where it is better by an F test and has its resonance within the band. Where the test
+A second mass is fitted only where the rigid plant deviates by more than is usual, and accepted
+only where it is better by an F test and has its resonance within the band. Where the test
 does not decide, the plant is rigid, and what a second mass would change is an uncertainty of its
 own. Scatter is the larger of two: that of the experiments by the jackknife (a linear step instead
 of a new fit), which includes errors common to all lines but rests on few experiments; and that of
@@ -45,7 +45,7 @@ POOLED_LINES = 5
 """Number of neighbouring lines whose relative scatter is pooled for the weights."""
 
 SECOND_MASS_SIGNIFICANCE = 1e-4
-"""Probability that the tests reject the rigid plant wrongly."""
+"""Probability that the test rejects the rigid plant wrongly."""
 
 DOUBT = 0.05
 """The same, from which on a second mass that was not accepted counts as possible."""
@@ -123,7 +123,7 @@ def fit_plant(found: FrequencyResponse, sample_time: float, nominal_inertia: flo
     if two is None:
         return data.with_scatter(rigid)
     doubt = two.rigid_rejected
-    if max(data.explained(rigid), doubt) < SECOND_MASS_SIGNIFICANCE:
+    if doubt < SECOND_MASS_SIGNIFICANCE:
         return data.with_scatter(two)
     return replace(data.with_scatter(rigid), rigid_rejected=doubt, possible=two)
 

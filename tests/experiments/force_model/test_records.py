@@ -65,3 +65,15 @@ def test_steps_of_the_encoder_are_no_slow_torque():
     time = interval * (begin + 0.5) + found.interval * np.arange(found.current.size)
     expected = np.cos(2 * np.pi * 5 / period * time)
     assert_allclose(found.current, expected, atol=2e-3)  # 0.05 read at the points alone
+
+
+@pytest.mark.parametrize("counts", [4000, 40_000])
+def test_what_follows_a_turn_is_left_out_however_fine_the_encoder_is(counts):
+    interval, period, count = 2e-3, 2.0, 2 * np.pi / counts
+    setpoint = -1.3 * np.cos(2 * np.pi / period * interval * np.arange(0.5, 6000))
+    under = LoadCase(0.05, 0.0, 0.0, count)
+    found = repeated(np.floor(setpoint / count), 0 * setpoint, setpoint, interval, under)
+    way = np.ptp(found.angle) / 2
+    rising, falling = (found.angle[found.trusted & (s * found.speed > 0)] for s in (1, -1))
+    for after in (rising.min() + way, way - falling.max()):
+        assert 2 * way / 70 < after < 2 * way / 25

@@ -1,6 +1,7 @@
 """Fits to made-up responses: the truth within its uncertainty, masses as many as there are."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -118,6 +119,18 @@ def test_what_a_possible_second_mass_would_change_is_an_uncertainty_beside_scatt
         lines = {line.name: line.contribution for line in found.budget}
         assert lines["second mass"] == change
         assert found.u >= math.hypot(fit.scatter(statistic), change) * (1 - 1e-9)
+
+
+def test_a_second_mass_shows_also_where_experiments_scatter_by_more_than_lines_do():
+    """Errors of whole experiments make their scatter large, and hardly bend the response."""
+    small = PlantModel(2.08e-5, 1e-4, 0.96, 50.0, 0.6)
+    found, rng = measured(small, 0), np.random.default_rng(1)
+    level, tilt = 0.05 * rng.standard_normal((2, len(found.each), 1))
+    each = found.each * (1 + level + tilt * np.log(FREQUENCY / 30))
+    fit = fit_plant(replace(found, each=each), SAMPLE_TIME, NOMINAL)
+    assert fit.rigid_rejected < 1e-4
+    assert not fit.model.rigid
+    assert abs(fit.model.inertia - small.inertia) < 3 * fit.scatter(lambda f: f.model.inertia)
 
 
 def test_a_plant_that_no_model_explains_is_more_uncertain():
