@@ -29,10 +29,14 @@ QUIET = (
 
 
 def write_results(path, command, **results):
-    """Write a run that holds nothing but results, (value, unit) by name."""
+    """Write a run that holds nothing but results, (value, unit) or (value, unit, u) by name."""
     with RunWriter(path, command=command, recipe=None, recipe_text=None) as writer:
         writer.finish(
-            {name: Quantity(value, unit, u=0.0) for name, (value, unit) in results.items()}, {}
+            {
+                name: Quantity(value, unit, *(u or [0.0]))
+                for name, (value, unit, *u) in results.items()
+            },
+            {},
         )
     return path
 

@@ -10,12 +10,12 @@ Residuals are logarithms of measured over modelled response, magnitude and phase
 by their scatter (logarithmic least squares: Pintelon & Schoukens, System Identification, 2nd
 edition, Wiley 2012, section 9.8).
 
-A second mass is fitted only where the rigid plant deviates by more than the scatter explains, and
-accepted only where it is better by an F test and has its resonance within the band. Where the test
-does not decide, the plant is rigid, and what a second mass would change is in the uncertainty. That
-is the larger of two: the experiments' scatter by the jackknife (a linear step instead of a new
-fit), which includes errors common to all lines but rests on few experiments; and the lines'
-scatter, propagated by least squares and raised by their deviation from the model, which rests on
+A second mass is fitted only where the rigid plant deviates by more than is usual, and accepted
+only where it is better by an F test and has its resonance within the band. Where the test
+does not decide, the plant is rigid, and what a second mass would change is an uncertainty of its
+own. Scatter is the larger of two: that of the experiments by the jackknife (a linear step instead
+of a new fit), which includes errors common to all lines but rests on few experiments; and that of
+the lines, propagated by least squares and raised by their deviation from the model, which rests on
 many.
 """
 
@@ -45,7 +45,7 @@ POOLED_LINES = 5
 """Number of neighbouring lines whose relative scatter is pooled for the weights."""
 
 SECOND_MASS_SIGNIFICANCE = 1e-4
-"""Probability that the tests reject the rigid plant wrongly."""
+"""Probability that the test rejects the rigid plant wrongly."""
 
 DOUBT = 0.05
 """The same, from which on a second mass that was not accepted counts as possible."""
@@ -64,7 +64,8 @@ class PlantFit:
     `used` (k,) marks the lines of the fit, `misfit` is the root of chi2 over its degrees of
     freedom: one where model and scatter explain all. `without` are the fits without each
     experiment in turn, `moved` those one standard deviation off along each principal axis of the
-    least-squares covariance, and the one with a second mass where that is possible.
+    least-squares covariance, `possible` is the one with a second mass where a rigid plant is
+    uncertain.
     """
 
     model: PlantModel
@@ -77,6 +78,7 @@ class PlantFit:
     rigid_rejected: float
     without: tuple[PlantFit, ...] = ()
     moved: tuple[PlantFit, ...] = ()
+    possible: PlantFit | None = None
 
     def response(self, frequency: Array) -> ComplexArray:
         """Return P (n,) at these frequencies, Hz, with delay and roll-off."""
@@ -87,12 +89,15 @@ class PlantFit:
         response: ComplexArray = self.model.response(frequency, self.sample_time) * lag
         return response
 
-    def uncertainty(self, statistic: Callable[[PlantFit], float]) -> float:
-        """Return the standard uncertainty of a statistic of the fit."""
+    def scatter(self, statistic: Callable[[PlantFit], float]) -> float:
+        """Return the standard uncertainty of a statistic of the fit by scatter."""
         scatter = standard_uncertainty(np.array([statistic(fit) for fit in self.without]))
         here = statistic(self)
-        moved = [statistic(fit) - here for fit in self.moved]
-        return max(scatter, math.sqrt(sum(change**2 for change in moved)))
+        return max(scatter, math.hypot(*(statistic(fit) - here for fit in self.moved)))
+
+    def doubt(self, statistic: Callable[[PlantFit], float]) -> float:
+        """Return the standard uncertainty of a statistic by a second mass that is possible."""
+        return abs(statistic(self.possible) - statistic(self)) if self.possible else 0.0
 
 
 def fit_plant(found: FrequencyResponse, sample_time: float, nominal_inertia: float) -> PlantFit:
@@ -118,10 +123,9 @@ def fit_plant(found: FrequencyResponse, sample_time: float, nominal_inertia: flo
     if two is None:
         return data.with_scatter(rigid)
     doubt = two.rigid_rejected
-    if max(data.explained(rigid), doubt) < SECOND_MASS_SIGNIFICANCE:
+    if doubt < SECOND_MASS_SIGNIFICANCE:
         return data.with_scatter(two)
-    rigid = data.with_scatter(rigid)
-    return replace(rigid, rigid_rejected=doubt, moved=(*rigid.moved, two))
+    return replace(data.with_scatter(rigid), rigid_rejected=doubt, possible=two)
 
 
 def _second_mass(data: _Data, rigid: PlantFit) -> PlantFit | None:

@@ -55,12 +55,15 @@ class IdentifiedPlant:
         value = statistic(self.fit)
         if self.torque_constant is None:
             return Quantity(value, unit, reason=NOT_CALIBRATED)
-        scatter = self.fit.uncertainty(statistic)
-        own = error_line("scatter between experiments", scatter, unit, len(self.fit.without) - 1)
+        scatter, doubt = self.fit.scatter(statistic), self.fit.doubt(statistic)
+        own = [
+            error_line("scatter between experiments", scatter, unit, len(self.fit.without) - 1),
+            error_line("second mass", doubt, unit),
+        ]
         scale = statistic(_scaled(self.fit, 1 + self.scale_u)) - value
         constant = self.torque_constant
         per_constant = scale / constant.u if constant.u else 0.0
-        return combined(value, unit, [own, *inherited(constant, per_constant, "torque constant")])
+        return combined(value, unit, [*own, *inherited(constant, per_constant, "torque constant")])
 
     def columns(self, magnitude: Array, scatter: Array, dof: float, what: str) -> dict[str, Column]:
         """Return u and its degrees of freedom for responses (k,), by Welch and Satterthwaite.

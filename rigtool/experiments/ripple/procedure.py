@@ -51,7 +51,7 @@ from rigtool.experiments.torque_per_ampere import (
 )
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.welch import Welch
-from rigtool.quantity import Quantity
+from rigtool.quantity import Quantity, combined, error_line, inherited
 from rigtool.recipe import Recipe
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import SpeedProfile
@@ -290,7 +290,6 @@ def _constants(
     constants, by_cell = [], []
     for own, ends, lowered, fall in zip(found, degrees, heat, falls, strict=True):
         housing = torque_per_ampere_at(kt, sum(ends) / 2)
-        u = math.hypot((housing.u or 0.0) / housing.value, lowered.u)
         turns, (count, cells) = own.current.size, own.waveforms.shape
         place = turns - count + (np.arange(count * cells) + 0.5) / cells
         lower = np.interp(place, np.arange(turns + 1), lowered.fall) + fall * (place / turns - 0.5)
@@ -302,7 +301,11 @@ def _constants(
         by_turn = housing.value * (1 - lower.reshape(count, cells))
         by_cell.append(by_turn if own.forward else by_turn[:, ::-1])
         value = float(by_turn.mean())
-        constants.append(Quantity(value, housing.unit, value * u))
+        lines = [
+            *inherited(housing, value / housing.value, "torque constant"),
+            error_line("heat of the winding", value * lowered.u, housing.unit),
+        ]
+        constants.append(combined(value, housing.unit, lines))
     return constants, by_cell, _heat_note(recorded, heat)
 
 

@@ -128,20 +128,18 @@ def condition_tables(
     # Where the constant torque is the axis, its ripple needs another name.
     signal = "ripple" if axis == "torque" else "torque"
     turns = [recording.condition("speed") / (2 * math.pi) for recording in recordings]
-    found = [_spectrum(*own) for own in zip(ripples, [recipe] * len(ripples), turns, strict=True)]
-    spectra = [own for own, _ in found]
-    relative = [
-        np.hypot(by_loop, (constants[recording.name].u or 0.0) / constants[recording.name].value)
-        for (_, by_loop), recording in zip(found, recordings, strict=True)
-    ]
-    u = [
-        np.hypot(own.u, own.amplitude * by_scale)
-        for own, by_scale in zip(spectra, relative, strict=True)
-    ]
-    dof = [
-        _freedom(total, own.u, 2 * (len(ripple.waveforms) - 1))
-        for total, own, ripple in zip(u, spectra, ripples, strict=True)
-    ]
+    spectra, u, dof = [], [], []
+    for recording, ripple, turns_per_s in zip(recordings, ripples, turns, strict=True):
+        own, by_loop = _spectrum(ripple, recipe, turns_per_s)
+        constant = constants[recording.name]
+        scale = own.amplitude * (constant.u or 0.0) / constant.value
+        total = np.hypot(np.hypot(own.u, own.amplitude * by_loop), scale)
+        known = 1 / constant.dof if constant.dof else 0.0
+        with np.errstate(divide="ignore", invalid="ignore"):  # Welch and Satterthwaite
+            scatter = own.u**4 / (2 * (len(ripple.waveforms) - 1))
+            dof.append(total**4 / (scatter + known * scale**4))
+        spectra.append(own)
+        u.append(total)
     waveforms = Table(
         (axis, "position"),
         {
@@ -179,13 +177,6 @@ def condition_tables(
         "loop does not follow",
     )
     return {f"{kind}_waveforms": waveforms, f"{kind}_spectrum": orders}
-
-
-def _freedom(u: Array, scatter: Array, dof: float) -> Array:
-    """Return the degrees of freedom of u (m,), of which the part `scatter` has finite ones."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        freedom: Array = dof * (u / scatter) ** 4
-    return freedom
 
 
 def revolutions_table(ripple: Ripple) -> Table:

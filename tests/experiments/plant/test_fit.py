@@ -1,5 +1,8 @@
 """Fits to made-up responses: the truth within its uncertainty, masses as many as there are."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +10,8 @@ from rigtool.control.plant_models import PlantModel
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.plant.fit import fit_plant
 from rigtool.experiments.plant.frequency_response import FrequencyResponse
+from rigtool.experiments.plant.results import IdentifiedPlant
+from rigtool.quantity import Quantity
 from tests.thorough import first_of
 
 SAMPLE_TIME = 125e-6
@@ -64,7 +69,7 @@ def test_uncertainties_are_what_repetition_shows():
         assert fit.model.rigid
         assert fit.misfit == pytest.approx(1, abs=0.5)
         for name, scale in (("inertia", RIGID.inertia), ("viscous", RIGID.viscous)):
-            u = fit.uncertainty(lambda f, name=name: getattr(f.model, name))
+            u = fit.scatter(lambda f, name=name: getattr(f.model, name))
             scores.append((getattr(fit.model, name) - scale) / u)
             assert 0 < u < 0.1 * scale
     assert 0.4 < np.mean(np.square(scores)) < 1.2
@@ -83,7 +88,7 @@ def test_two_masses_are_found_where_there_are_two(seed):
         (lambda f: f.model.damping, TWO.damping),
         (lambda f: f.model.resonance_hz, TWO.resonance_hz),
     ):
-        u = fit.uncertainty(statistic)
+        u = fit.scatter(statistic)
         assert abs(statistic(fit) - truth) < 4 * u
         assert u < 0.1 * truth
 
@@ -96,15 +101,36 @@ def test_a_resonance_outside_the_band_is_no_second_mass(antiresonance):
     assert fit.model.inertia == pytest.approx(mass * 2e-5, rel=0.02, abs=0)
 
 
-def test_what_a_possible_second_mass_would_change_is_in_the_uncertainty():
+def test_what_a_possible_second_mass_would_change_is_an_uncertainty_beside_scatter():
     fit = fitted(PlantModel(2e-5, 5e-5, 0.97, 60.0, 0.6), 0, noise=3e-2)
     assert fit.model.rigid
     assert 1e-4 < fit.rigid_rejected < 0.05
-    possible = fit.moved[-1].model
-    assert not possible.rigid
+    assert not fit.possible.model.rigid
+    constant = Quantity(0.05, "N m/A", 1e-5)
+    plant = IdentifiedPlant(measured(RIGID, 0), fit, constant, swing=0.5)
     for name in ("inertia", "viscous"):
-        u = fit.uncertainty(lambda f, name=name: getattr(f.model, name))
-        assert u >= abs(getattr(possible, name) - getattr(fit.model, name)) > 0
+
+        def statistic(f, name=name):
+            return getattr(f.model, name)
+
+        change = abs(statistic(fit.possible) - statistic(fit))
+        assert fit.doubt(statistic) == change > 0
+        found = plant.quantity(statistic, "1")
+        lines = {line.name: line.contribution for line in found.budget}
+        assert lines["second mass"] == change
+        assert found.u >= math.hypot(fit.scatter(statistic), change) * (1 - 1e-9)
+
+
+def test_a_second_mass_shows_also_where_experiments_scatter_by_more_than_lines_do():
+    """Errors of whole experiments make their scatter large, and hardly bend the response."""
+    small = PlantModel(2.08e-5, 1e-4, 0.96, 50.0, 0.6)
+    found, rng = measured(small, 0), np.random.default_rng(1)
+    level, tilt = 0.05 * rng.standard_normal((2, len(found.each), 1))
+    each = found.each * (1 + level + tilt * np.log(FREQUENCY / 30))
+    fit = fit_plant(replace(found, each=each), SAMPLE_TIME, NOMINAL)
+    assert fit.rigid_rejected < 1e-4
+    assert not fit.model.rigid
+    assert abs(fit.model.inertia - small.inertia) < 3 * fit.scatter(lambda f: f.model.inertia)
 
 
 def test_a_plant_that_no_model_explains_is_more_uncertain():
@@ -117,8 +143,8 @@ def test_a_plant_that_no_model_explains_is_more_uncertain():
         return fit.model.inertia
 
     assert odd.misfit > 5
-    assert odd.uncertainty(inertia) > 3 * plain.uncertainty(inertia)
-    assert abs(odd.model.inertia - RIGID.inertia) < 3 * odd.uncertainty(inertia)
+    assert odd.scatter(inertia) > 3 * plain.scatter(inertia)
+    assert abs(odd.model.inertia - RIGID.inertia) < 3 * odd.scatter(inertia)
 
 
 def test_lines_of_little_coherence_are_left_out():

@@ -218,8 +218,8 @@ def test_heat_of_the_winding_and_the_loop_are_taken_off_the_amplitudes(folder):
     kt = write_results(
         folder / "slope.h5",
         "calibrate-kt",
-        torque_constant=(TORQUE_CONSTANT, "N m/A"),
-        torque_constant_temperature_coefficient=(slope, "1/K"),
+        torque_constant=(TORQUE_CONSTANT, "N m/A", 1e-3 * TORQUE_CONSTANT),
+        torque_constant_temperature_coefficient=(slope, "1/K", 1e-4),
         torque_constant_mean=(TORQUE_CONSTANT * (1 + 7.5 * slope), "N m/A"),
         amplifier_gain=(1.0, "1"),
     )
@@ -239,3 +239,11 @@ def test_heat_of_the_winding_and_the_loop_are_taken_off_the_amplitudes(folder):
         assert table["amplitude"][row, 3] == pytest.approx(1e-3, rel=0.006, abs=0), kind
     assert outcome.tables["speed_spectrum"]["loop_gain"][1, 3] > 1.1
     assert any("torque_000: the current that holds" in note for note in outcome.notes)
+    rms = outcome.results["repeatable_rms"]
+    parts = {line.name: line.contribution / rms.value for line in rms.budget}
+    degc = 27.0  # of the motor, which turning hardly heats
+    factor = 1 + slope * (degc - 20)
+    assert parts["torque constant at 20 degC"] == pytest.approx(1e-3, rel=1e-6, abs=0)
+    slope_part = 1e-4 * (degc - 20) / factor
+    assert parts["temperature coefficient"] == pytest.approx(slope_part, rel=0.03, abs=0)
+    assert {"scatter", "heat of the winding"} <= set(parts)
