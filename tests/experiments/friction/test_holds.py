@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy import stats
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
-from rigtool.experiments.friction.holds import _warm_up, find_holds
+from rigtool.experiments.friction.holds import _around, _warm_up, find_holds
 
 SPEED, TURNS, SAMPLES, DRAWS = 10.0, 6, 1200, 200
 
@@ -76,3 +78,10 @@ def test_ripple_in_quadrature_with_the_speed_counts_as_uncertainty():
     found = find_holds(torque=4e-3 + 3e-3 * np.sin(time), **signals)
     assert found.lagging[0] == pytest.approx(0.02 * 3e-3 / 2, rel=0.01)
     assert found.torque[0] == pytest.approx(4e-3, rel=1e-4)
+
+
+@pytest.mark.parametrize("width", [10, 11, 70])
+def test_means_around_each_sample_are_those_of_scipy(width):
+    values = 1e3 + np.random.default_rng(width).standard_normal(50)
+    expected = uniform_filter1d(values, width, mode="nearest")
+    assert_allclose(_around(values, width), expected, rtol=1e-12)
