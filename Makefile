@@ -197,8 +197,8 @@ real-data: | $(INSTALLED) $(BUILD)
 test: $(INSTALLED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy & $(BIN)/pytest -q -m compiles > /dev/null 2>&1; wait $$!
-	$(BIN)/pytest -n 3 --dist worksteal
+	$(BIN)/mypy & $(BIN)/pytest -q -m compiles; tests=$$?; wait $$! && exit $$tests
+	$(BIN)/pytest -n 3 --dist worksteal -m "not compiles and not thorough"
 
 test-lowest:
 	$(PYTHON) -m venv .venv-lowest

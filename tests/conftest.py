@@ -44,6 +44,15 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: item.path.name != "test_pages.py")
 
 
+@pytest.fixture(autouse=True)
+def trees_are_read_once(request, monkeypatch):
+    """Except in tests/runfile, which is about reading."""
+    if "tests/runfile/" not in request.node.nodeid:
+        from tests import read_once
+
+        monkeypatch.setattr(read_once.tree, "read_tree", read_once.read_tree_once)
+
+
 @pytest.fixture
 def world(request, monkeypatch):
     """The emulated time in which a test runs; None where the test is in real time."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError
 from rigtool.numerics.arrays import Array
-from rigtool.runfile import Recording, Run
+from rigtool.runfile import Run
 
 REPORTED_FROM = 3.0
 """Multiple of its standard uncertainty from which on a difference is reported."""
@@ -109,15 +109,14 @@ def unsampled_note(runs: Sequence[Run], torque_constant: float) -> tuple[str, ..
     )
 
 
-def setpoint_resolution(recording: Recording, averaged: int) -> float:
+def setpoint_resolution(current: Array, averaged: int) -> float:
     """Return the step in which a drive reports its current set point, A.
 
-    The smallest difference of two recorded values, times the number of samples `averaged` into
-    each; next to zero for a drive that reports many digits. The standard uncertainty is
+    The smallest difference of two recorded values (n,), A, times the number of samples `averaged`
+    into each; next to zero for a drive that reports many digits. The standard uncertainty is
     step / sqrt(12) (GUM F.2.2.1), and averaging does not lower it while the current stays within
     one step.
     """
-    current = recording.read("current_setpoint", 0, min(recording.size, RESOLUTION_SAMPLES))
-    apart = np.diff(np.unique(current))
+    apart = np.diff(np.unique(current[:RESOLUTION_SAMPLES]))
     apart = apart[apart > CURRENT_ROUNDING]
     return averaged * float(apart.min()) if apart.size else 0.0

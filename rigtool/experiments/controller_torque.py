@@ -83,12 +83,15 @@ class LoopSignals:
     learned: Array
 
 
-def controller_torque(recording: Recording, torque_constant: float) -> Array:
+def controller_torque(
+    recording: Recording, torque_constant: float, asked: Array | None = None
+) -> Array:
     """Return the controller's torque over a recording (n,), N m; `torque_constant` in N m/A.
 
-    Channels that the recording lacks were not fed forward.
+    Channels that the recording lacks were not fed forward; `asked` is its current set point, where
+    that has been read.
     """
-    current = recording.read("current_setpoint")
+    current = recording.read("current_setpoint") if asked is None else asked
     for name in ("feedforward_current", TABLE, SIGNAL):
         if recording.has(name):
             current = current - recording.read(name)

@@ -40,7 +40,7 @@ from rigtool.quantity import (
     without,
 )
 from rigtool.runfile import Recording, Run
-from rigtool.runfile.schema import LARGEST_NUMBER
+from rigtool.runfile.schema import CHUNK, LARGEST_NUMBER
 
 END_SAMPLES = 1024
 """Samples at either end of a recording that show its temperatures, which change slowly."""
@@ -147,13 +147,16 @@ def _at_ends(recording: Recording) -> tuple[Array, Array]:
     if not recording.has("temperature"):
         return np.empty(0), np.empty(0)
     late = max(0, recording.size - END_SAMPLES)
-    first, last = (
-        np.concatenate([np.empty(0), *(degc for (degc,) in blocks)])
-        for blocks in (
-            recording.blocks("temperature", stop=END_SAMPLES, finite=False),
-            recording.blocks("temperature", start=late, finite=False) if late else (),
-        )
-    )
+
+    def read(start: int, stop: int | None) -> Array:
+        blocks = recording.blocks("temperature", start=start, stop=stop, finite=False)
+        return np.concatenate([np.empty(0), *(degc for (degc,) in blocks)])
+
+    if recording.size <= CHUNK:  # that chunk is read once
+        whole = read(0, None)
+        first, last = whole[:END_SAMPLES], whole[late:]
+    else:
+        first, last = read(0, END_SAMPLES), read(late, None)
     first, last = (end[np.isfinite(end)] for end in (first, last))  # NaN without a thermometer
     return first, last if late else first
 

@@ -35,11 +35,23 @@ SHORTENED = {
 """Settings of `make fixtures` that shorten an example on a recipe."""
 
 
+def lines_of_the_readme():
+    """Return the lines that tests/test_pages.py runs, in a folder of their own."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    chain = text.partition("R=recipes/briaire-2006.toml; mkdir -p build\n")[2].partition("```")[0]
+    return {
+        " ".join(line.split()).replace("$R", "recipes/briaire-2006.toml").replace("build/", "")
+        for line in chain.splitlines()
+    }
+
+
 def examples():
+    """Yield the examples, but those that run as lines of the README."""
+    elsewhere = lines_of_the_readme()
     for name in cli.COMMANDS:
         command = cli.rigtool.get_command(click.Context(cli.rigtool), name)
         for line in (command.epilog or "").splitlines():
-            if line.strip().startswith("rigtool "):
+            if line.strip().startswith("rigtool ") and line.strip() not in elsewhere:
                 yield line.strip()
 
 

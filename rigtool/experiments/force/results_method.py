@@ -15,6 +15,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.between_set_points import (
+    RESOLUTION_SAMPLES,
     SET_POINT_REMEDY,
     UNSAMPLED_LIMIT,
     UnsampledCurrent,
@@ -132,5 +133,6 @@ def _slopes(first: Array, second: Array, values: Array) -> tuple[float, float]:
 
 def resolution_u(recording: Recording, recipe: Recipe, torque_constant: float) -> float:
     """Return the standard uncertainty by the steps of reported current, N m at the output."""
-    step = setpoint_resolution(recording, recipe.measure_force.record_every)
+    asked = recording.read("current_setpoint", 0, min(recording.size, RESOLUTION_SAMPLES))
+    step = setpoint_resolution(asked, recipe.measure_force.record_every)
     return recipe.rig.torque_factor * torque_constant * step / math.sqrt(12)

@@ -280,10 +280,15 @@ def _shaking(torque: Array, sample: float, inertia: float) -> float:
 
     Zero where the samples are too far apart to show it.
     """
-    from scipy.ndimage import uniform_filter1d
-
     width = round(SHAKING_TIME / sample)
     if width < 10:
         return 0.0
-    speed = np.cumsum(torque - uniform_filter1d(torque, width, mode="nearest")) * sample / inertia
-    return float(np.std(speed - uniform_filter1d(speed, width, mode="nearest")))
+    speed = np.cumsum(torque - _around(torque, width)) * sample / inertia
+    return float(np.std(speed - _around(speed, width)))
+
+
+def _around(values: Array, width: int) -> Array:
+    """Return the mean of `width` values (n,) around each; the first and the last go on beyond."""
+    before = width // 2
+    sums = np.cumsum(np.pad(values - values.mean(), (before + 1, width - before - 1), mode="edge"))
+    return (sums[width:] - sums[:-width]) / width + values.mean()

@@ -175,14 +175,14 @@ def _find_holds(recording: Recording, recipe: Recipe, scale: Scale) -> Holds:
     found = find_holds(
         time=recording.read("time"),
         angle=_angle(recording, recipe),
-        torque=controller_torque(recording, scale.value),
+        torque=controller_torque(recording, scale.value, asked),
         setpoint=recording.read("position_setpoint") if followed else None,
         inertia=recipe.rig.nominal_inertia,
         count=2 * np.pi / recipe.rig.encoder_counts,
     )
     # Twice the variance: both directions are rounded to the same steps and err alike, so that the
     # mean of the two is no better than each.
-    step = scale.value * setpoint_resolution(recording, recipe.stribeck.record_every)
+    step = scale.value * setpoint_resolution(asked, recipe.stribeck.record_every)
     expected = encoder_shaking(recipe, found.speed)
     return replace(
         found,

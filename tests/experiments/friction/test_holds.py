@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy import stats
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
-from rigtool.experiments.friction.holds import Holds, _warm_up, find_holds
+from rigtool.experiments.friction.holds import Holds, _around, _warm_up, find_holds
 
 SPEED, TURNS, SAMPLES, DRAWS = 10.0, 6, 1200, 200
 
@@ -90,3 +92,10 @@ def test_the_line_of_lagging_ripple_has_two_numbers_from_any_holds(speeds, shown
     rest = np.ones((6, 3))
     holds = Holds(np.array(speeds), *rest, np.array(shown), np.ones(3))
     assert holds.lagging_line() == pytest.approx(expected, rel=1e-9, abs=1e-18)
+
+
+@pytest.mark.parametrize("width", [10, 11, 70])
+def test_means_around_each_sample_are_those_of_scipy(width):
+    values = 1e3 + np.random.default_rng(width).standard_normal(50)
+    expected = uniform_filter1d(values, width, mode="nearest")
+    assert_allclose(_around(values, width), expected, rtol=1e-12)

@@ -23,7 +23,7 @@ from rigtool.experiments.running.session import run_command
 from rigtool.quantity import Quantity
 from rigtool.recipe import load_recipe, override_recipe
 from rigtool.recipe.commands import Stribeck
-from rigtool.runfile import RecordingSpec, RunWriter, open_run
+from rigtool.runfile import Recording, RecordingSpec, RunWriter, open_run
 from tests.experiments.virtual_runs import RECIPE, run, write_kt
 from tests.thorough import first_of
 
@@ -330,6 +330,18 @@ def test_samples_that_do_not_show_the_shaking_take_what_the_steps_make(measured,
             stored.recording("holds"), recipe, Scale(Quantity(0.045, "N m/A", 1e-5))
         )
     assert_allclose(found.shaking, encoder_shaking(recipe, found.speed))
+
+
+def test_holds_take_one_read_of_each_signal(measured, monkeypatch):
+    """Of a thousand small files, opening and unpacking is most of the time."""
+    seen, read = [], Recording.read_stored
+    monkeypatch.setattr(
+        Recording, "read_stored", lambda self, *part: seen.append(part[0]) or read(self, *part)
+    )
+    with open_run(measured[0]) as stored:
+        recording = stored.recording("holds")
+        _find_holds(recording, stored.recipe, Scale(Quantity(0.045, "N m/A", 1e-5)))
+    assert len(seen) == len(set(seen)) >= 5
 
 
 def test_a_note_states_why_holds_are_left_out():

@@ -51,7 +51,8 @@ def learned():
 
 @pytest.fixture(scope="module")
 def plain():
-    return observations(loads=(0.02, 0.04, 0.06), frequencies=(0.2, 0.3))
+    found = observations(loads=(0.02, 0.04, 0.06), frequencies=(0.2, 0.3))
+    return found, learn_load_model(found).model
 
 
 def errors(model, loads, seed=7, drift=0.001, frequencies=(0.12, 0.25)):
@@ -122,8 +123,9 @@ def test_which_way_the_load_resists_holds_for_any_signs(signs, friction):
 )
 def test_units_and_signs_change_nothing(plain, effort_sign, effort_unit, torque_sign, torque_unit):
     effort, torque = effort_sign * effort_unit, torque_sign * torque_unit
-    other = [replace(o, effort=effort * o.effort, reference=torque * o.reference) for o in plain]
-    first, second = learn_load_model(plain).model, learn_load_model(other).model
+    observed, first = plain
+    other = [replace(o, effort=effort * o.effort, reference=torque * o.reference) for o in observed]
+    second = learn_load_model(other).model
     item = observe(0.05, 0.25, seed=3)
     one = first.estimate(item.effort, item.path)
     two = second.estimate(effort * item.effort, item.path)
