@@ -45,8 +45,9 @@ UNEVEN_LIMIT = 0.12
 """Relative standard deviation of the speed, as the encoder shows it, above which a hold is left
 out: it smooths a Stribeck curve by some 0.4 of its square."""
 
-UNEVEN_COUNTS, UNEVEN_TIME = 12, 0.02
-"""Counts, and s, over which that speed is taken."""
+UNEVEN_COUNTS, UNEVEN_TIME = 3, 5e-3
+"""Counts, and s, over which that speed is taken: friction that falls with speed swings the shaft
+near the crossover of its loop, up to 100 Hz, and a whole period of that shows nothing."""
 
 RIPPLE_ORDERS = 12
 """Orders of ripple that vary the speed over a turn: the loop, or the inertia, holds higher ones."""
@@ -199,7 +200,7 @@ def _uneven(angle: Array, step: float, sample: float, count: float) -> float:
     way = max(UNEVEN_COUNTS * count, UNEVEN_TIME / sample * abs(step))
     width = min(math.ceil(way / max(abs(step), 1e-300)), len(angle) // 2)
     moved = angle[width:] - angle[:-width]
-    square = float(np.var(moved)) - count**2 / 6
+    square = float(np.var(moved)) - count**2 / 4  # the most, of a shaft that turns evenly
     return math.sqrt(max(square, 0.0)) / max(abs(step) * width, 1e-300)
 
 

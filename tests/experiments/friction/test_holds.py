@@ -76,3 +76,28 @@ def test_ripple_in_quadrature_with_the_speed_counts_as_uncertainty():
     found = find_holds(torque=4e-3 + 3e-3 * np.sin(time), **signals)
     assert found.lagging[0] == pytest.approx(0.02 * 3e-3 / 2, rel=0.01)
     assert found.torque[0] == pytest.approx(4e-3, rel=1e-4)
+
+
+@pytest.mark.parametrize("swing_hz", [0.0, 3.0, 47.0])
+@pytest.mark.parametrize("speed", [0.4, 0.47, 1.0])
+def test_the_encoder_shows_how_much_the_speed_varies(speed, swing_hz):
+    """A speed with a sine of relative standard deviation 0.3: by ripple, or near the crossover of
+    a loop where friction falls with speed, in steps of an encoder of 8000 counts. An even speed
+    shows nothing, whatever part of a count it takes a sample."""
+    time, count = np.arange(0, 30, 8e-3), 2 * np.pi / 8000
+    rate = 2 * np.pi * swing_hz
+    angle = speed * time
+    if swing_hz:
+        angle = angle + 0.3 * np.sqrt(2) * speed * np.sin(rate * time) / rate
+    found = find_holds(
+        time=time,
+        angle=np.floor(angle / count) * count,
+        torque=np.full(len(time), 4e-3),
+        setpoint=speed * time,
+        inertia=1e-5,
+        count=count,
+    )
+    if swing_hz:
+        assert 0.6 * 0.3 < found.uneven[0] < 1.1 * 0.3
+    else:
+        assert found.uneven[0] < 1e-3
