@@ -171,7 +171,7 @@ def _hold(
     if watched is None:
         settled = max(_warm_up(torque), _warm_up(np.gradient(position, time)))
     else:
-        settled = _settling(travel, watched)
+        settled = settled_from(watched, len(watched) // 2)
     revolutions = int(travel[settled] / (2 * np.pi) + 1e-9)
     first = settled
     if revolutions >= 1:
@@ -222,13 +222,6 @@ def _by_ripple(time: Array, angle: Array, torque: Array, revolutions: int) -> tu
     speed = 2j * np.pi * cycles * (wave @ ((angle - angle[0]) / turned - place)[:-1])
     power = (wave @ torque[:-1]) * np.conj(speed) / 2
     return float(power.real.sum()), float(np.abs(power.imag).sum())
-
-
-def _settling(travel: Array, watched: Array) -> int:
-    """Return the first sample from which on a signal stays as in the last turn (or half)."""
-    turns = travel[0] / (2 * np.pi)
-    last = np.searchsorted(-travel, -2 * np.pi) if turns >= 2 else len(watched) // 2
-    return settled_from(watched, int(last))
 
 
 def _warm_up(values: Array) -> int:

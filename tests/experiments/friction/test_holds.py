@@ -101,3 +101,18 @@ def test_the_encoder_shows_how_much_the_speed_varies(speed, swing_hz):
         assert 0.6 * 0.3 < found.uneven[0] < 1.1 * 0.3
     else:
         assert found.uneven[0] < 1e-3
+
+
+def test_slow_swings_of_a_soft_loop_are_no_settling():
+    """A loop of a few Hz follows noise by swings that are longer than a turn at high speed."""
+    time = np.arange(0, 6, 8e-3)
+    behind = 0.3 * np.exp(-time / 0.2) + 0.05 * np.sin(2 * np.pi * 0.4 * time)
+    found = find_holds(
+        time=time,
+        angle=30 * time - behind,
+        torque=np.full(len(time), 4e-3),
+        setpoint=30 * time,
+        inertia=1e-5,
+    )
+    assert 0.2 < found.settled[0] < 0.8
+    assert found.revolutions[0] > 20
