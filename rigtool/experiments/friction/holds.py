@@ -85,6 +85,12 @@ class Holds:
     lagging: Array
     uneven: Array
 
+    @property
+    def steady(self) -> Mask:
+        """Which holds turn evenly enough for their torque to belong to their speed, (n,)."""
+        steady: Mask = (self.shaking <= SHAKING_LIMIT) & (self.uneven <= UNEVEN_LIMIT)
+        return steady
+
     def __getitem__(self, chosen: Mask | NDArray[np.intp]) -> Holds:
         return Holds(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 

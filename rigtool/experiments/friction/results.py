@@ -218,10 +218,12 @@ def add_radial_friction(
 ) -> None:
     """Add the increase of friction in motion by a radial force, N, at speeds held without, too.
 
-    The mean over speeds and directions; where contacts are soft, the shaft breaks away at less
-    than the friction that it then has, with and without the force: breakaway does not show it.
-    `weights_u` is the relative standard uncertainty of the force.
+    `unloaded` turn evenly; of `loaded`, those that do not are left out. The mean over speeds and
+    directions; where contacts are soft, the shaft breaks away at less than the friction that it
+    then has, with and without the force: breakaway does not show it. `weights_u` is the relative
+    standard uncertainty of the force.
     """
+    loaded = loaded[loaded.steady]
     nearest = np.argmin(np.abs(unloaded.speed - loaded.speed[:, None]), axis=1)
     same = np.abs(unloaded.speed[nearest] - loaded.speed) < 0.01 * np.abs(loaded.speed)
     if not same.any():
