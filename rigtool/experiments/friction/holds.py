@@ -45,8 +45,9 @@ UNEVEN_LIMIT = 0.12
 """Relative standard deviation of the speed, as the encoder shows it, above which a hold is left
 out: it smooths a Stribeck curve by some 0.4 of its square."""
 
-UNEVEN_COUNTS, UNEVEN_TIME = 12, 0.02
-"""Counts, and s, over which that speed is taken."""
+UNEVEN_COUNTS, UNEVEN_TIME = 3, 5e-3
+"""Counts, and s, over which that speed is taken: friction that falls with speed swings the shaft
+near the crossover of its loop, up to 100 Hz, and a whole period of that shows nothing."""
 
 RIPPLE_ORDERS = 12
 """Orders of ripple that vary the speed over a turn: the loop, or the inertia, holds higher ones."""
@@ -83,6 +84,12 @@ class Holds:
     settled: Array
     lagging: Array
     uneven: Array
+
+    @property
+    def steady(self) -> Mask:
+        """Which holds turn evenly enough for their torque to belong to their speed, (n,)."""
+        steady: Mask = (self.shaking <= SHAKING_LIMIT) & (self.uneven <= UNEVEN_LIMIT)
+        return steady
 
     def __getitem__(self, chosen: Mask | NDArray[np.intp]) -> Holds:
         return Holds(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
@@ -177,7 +184,7 @@ def _hold(
     if watched is None:
         settled = max(_warm_up(torque), _warm_up(np.gradient(position, time)))
     else:
-        settled = _settling(travel, watched)
+        settled = settled_from(watched, len(watched) // 2)
     revolutions = int(travel[settled] / (2 * np.pi) + 1e-9)
     first = settled
     if revolutions >= 1:
@@ -206,7 +213,7 @@ def _uneven(angle: Array, step: float, sample: float, count: float) -> float:
     way = max(UNEVEN_COUNTS * count, UNEVEN_TIME / sample * abs(step))
     width = min(math.ceil(way / max(abs(step), 1e-300)), len(angle) // 2)
     moved = angle[width:] - angle[:-width]
-    square = float(np.var(moved)) - count**2 / 6
+    square = float(np.var(moved)) - count**2 / 4  # the most, of a shaft that turns evenly
     return math.sqrt(max(square, 0.0)) / max(abs(step) * width, 1e-300)
 
 
@@ -228,13 +235,6 @@ def _by_ripple(time: Array, angle: Array, torque: Array, revolutions: int) -> tu
     speed = 2j * np.pi * cycles * (wave @ ((angle - angle[0]) / turned - place)[:-1])
     power = (wave @ torque[:-1]) * np.conj(speed) / 2
     return float(power.real.sum()), float(np.abs(power.imag).sum())
-
-
-def _settling(travel: Array, watched: Array) -> int:
-    """Return the first sample from which on a signal stays as in the last turn (or half)."""
-    turns = travel[0] / (2 * np.pi)
-    last = np.searchsorted(-travel, -2 * np.pi) if turns >= 2 else len(watched) // 2
-    return settled_from(watched, int(last))
 
 
 def _warm_up(values: Array) -> int:

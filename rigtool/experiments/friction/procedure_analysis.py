@@ -248,7 +248,7 @@ def fit_holds(
         for chosen, limit, reason in reasons
         if chosen.any()
     ]
-    steady = everything[~shaken & ~uneven]
+    steady = everything[everything.steady]
     try:
         return fit_directions(steady.speed, steady.torque, steady.u), steady, notes
     except InsufficientDataError as error:

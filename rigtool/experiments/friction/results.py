@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -93,7 +93,7 @@ class Findings:
 
 def add_friction(fits: dict[int, DirectionFit], offset: Offset | None, found: Findings) -> None:
     """Add Coulomb, viscous and Stribeck parameters; `offset` is subtracted from each direction."""
-    dof = float(sum(fit.dof for fit in fits.values()))
+    dof = {sign: float(fit.dof) for sign, fit in fits.items()}
     coulomb, viscous = ({s: getattr(f, n) for s, f in fits.items()} for n in ("coulomb", "viscous"))
     names = ("coulomb_friction", coulomb, "N m"), ("viscous_friction", viscous, "N m s/rad")
     for number, (name, values, unit) in enumerate(names):
@@ -132,21 +132,22 @@ def _add_directions(
     name: str,
     values: dict[int, Uncertain],
     unit: str,
-    dof: float | None,
+    dof: Mapping[int, float],
     offset: Offset | None = None,
     by_constant: bool = True,
     common: Mapping[str, float] = MappingProxyType({}),
 ) -> None:
     """Add the mean over directions, and each direction without the offset.
 
-    `common` are standard uncertainties that all of them share, by their lines in the budget.
+    `dof` are the degrees of freedom of each direction's scatter; `common` are standard
+    uncertainties that all of them share, by their lines in the budget.
     """
     if not values:
         return
 
-    def state(name: str, value: float, u: float, sign: int | None) -> None:
+    def state(name: str, value: float, scatter: Component, sign: int | None) -> None:
         lines = [
-            error_line(SCATTER_LINE, u, unit, dof),
+            scatter,
             *(error_line(line, shared, unit) for line, shared in common.items()),
         ]
         if offset is not None and sign is not None:
@@ -156,11 +157,16 @@ def _add_directions(
         quantity = found.scale.quantity if by_constant else combined
         found.results[name] = quantity(value, unit, lines)
 
-    mean = float(np.mean([value for value, _ in values.values()]))
-    u = math.hypot(*(u for _, u in values.values())) / len(values)
-    state(name, mean, u, next(iter(values)) if len(values) == 1 else None)
-    for sign, (value, own) in values.items():
-        state(f"{name}_{DIRECTION_NAMES[sign]}", value, own, sign)
+    parts = {s: error_line(SCATTER_LINE, u, unit, dof[s]) for s, (_, u) in values.items()}
+    mean = combined(
+        float(np.mean([value for value, _ in values.values()])),
+        unit,
+        [replace(part, sensitivity=1 / len(parts)) for part in parts.values()],
+    )
+    both = error_line(SCATTER_LINE, mean.u or 0.0, unit, mean.dof)
+    state(name, mean.value, both, next(iter(values)) if len(values) == 1 else None)
+    for sign, (value, _) in values.items():
+        state(f"{name}_{DIRECTION_NAMES[sign]}", value, parts[sign], sign)
 
 
 def add_breakaway(unloaded: Breakaway, found: Findings) -> None:
@@ -212,10 +218,12 @@ def add_radial_friction(
 ) -> None:
     """Add the increase of friction in motion by a radial force, N, at speeds held without, too.
 
-    The mean over speeds and directions; where contacts are soft, the shaft breaks away at less
-    than the friction that it then has, with and without the force: breakaway does not show it.
-    `weights_u` is the relative standard uncertainty of the force.
+    `unloaded` turn evenly; of `loaded`, those that do not are left out. The mean over speeds and
+    directions; where contacts are soft, the shaft breaks away at less than the friction that it
+    then has, with and without the force: breakaway does not show it. `weights_u` is the relative
+    standard uncertainty of the force.
     """
+    loaded = loaded[loaded.steady]
     nearest = np.argmin(np.abs(unloaded.speed - loaded.speed[:, None]), axis=1)
     same = np.abs(unloaded.speed[nearest] - loaded.speed) < 0.01 * np.abs(loaded.speed)
     if not same.any():
@@ -261,7 +269,8 @@ def add_static_friction(
         )
     static = {s: known for s, fit in fits.items() if (known := fit.static) is not None}
     if static:
-        _add_directions(found, "static_friction", static, "N m", None, offset)
+        dof = {sign: float(fits[sign].dof) for sign in static}
+        _add_directions(found, "static_friction", static, "N m", dof, offset)
         found.notes.append(
             "static friction is the Stribeck model's, extrapolated to standstill, not that of "
             "breakaway"

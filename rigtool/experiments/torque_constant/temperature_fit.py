@@ -194,10 +194,11 @@ def _require_linear(linearity: Linearity) -> None:
 
 @dataclass(frozen=True)
 class _Fit:
-    """k(T) = value + slope (T - temperature), both independent of each other; gain of all points.
+    """k(T) = value + slope (T - temperature); gain of all points.
 
-    Each uncertainty stands with its degrees of freedom. `trend_u` is what the model of the
-    staircases adds to that of the slope.
+    Each uncertainty stands with its degrees of freedom. An error of the value changes the slope by
+    `tilt` times it (ripple that the angles do not show scales both); `slope_u` is independent of
+    it. `trend_u` is what the model of the staircases adds to that of the slope.
     """
 
     temperature: float
@@ -205,6 +206,7 @@ class _Fit:
     value_u: tuple[float, float]
     slope: float
     slope_u: tuple[float, float]
+    tilt: float  # 1/K
     trend_u: float
     coefficient: float  # relative to k at the mean temperature, 1/K
     slope_known: bool
@@ -227,20 +229,21 @@ def _fit_temperature(slopes: Slopes) -> _Fit:
         found = fit_angle_effects(design, slopes.slope, slopes.u, slopes.rotor_angle, size=size)
         value, slope = float(found.parameters[0]), float(found.parameters[1]) if known else 0.0
         size = 1 + slope / value * rise
-    covariance, away, slope_u = found.covariance, 0.0, (0.0, math.inf)
+    covariance, tilt, slope_u = found.covariance, 0.0, (0.0, math.inf)
     if known:
-        # At this distance from the centre the value does not depend on the slope's error.
-        away = -float(covariance[0, 1] / covariance[1, 1])
-        slope_u = math.sqrt(covariance[1, 1]), float(found.dof[1])
-    value_u = math.sqrt(covariance[0, 0] + (away * covariance[0, 1] if known else 0.0))
+        tilt = float(covariance[0, 1] / covariance[0, 0])
+        rest = float(covariance[1, 1]) - tilt * float(covariance[0, 1])
+        slope_u = math.sqrt(max(rest, 0.0)), float(found.dof[1])
+    value_u = math.sqrt(covariance[0, 0])
     unknown = bool(np.all(np.isnan(slopes.rotor_angle)))
     scatter = value_u if unknown else min(float(np.sum(slopes.u**-2)) ** -0.5, value_u)
     return _Fit(
-        temperature=centre + away,
-        value=value + slope * away,
+        temperature=centre,
+        value=value,
         value_u=(value_u, float(found.dof[0])),
         slope=slope,
         slope_u=slope_u,
+        tilt=tilt,
         # An error from friction may be the same at all temperatures, or grow with the constant.
         trend_u=math.hypot(
             slopes.trend_u,
@@ -383,12 +386,14 @@ class _Law:
         """Return k at a temperature in degC, N m/A."""
         rise = temperature - self._fit.temperature if self._fit.slope_known else 0.0
         k = self._fit.value + self._fit.slope * rise
-        own = [1.0, rise, rise, self._fit.slope] if self._fit.slope_known else [1.0]
+        own = [1.0]
+        if self._fit.slope_known:
+            own = [1.0 + self._fit.tilt * rise, rise, rise, self._fit.slope]
         return _Uncertain(k, np.append(k * self._relative, own))
 
     def coefficient(self) -> _Uncertain:
         """Return b / k(20 degC), 1/K; the factors that are common to all points cancel."""
-        slope = np.append(self._fit.slope * self._relative, [0.0, 1.0, 1.0, 0.0])
+        slope = np.append(self._fit.slope * self._relative, [self._fit.tilt, 1.0, 1.0, 0.0])
         return _Uncertain(self._fit.slope, slope).over(self.at(REFERENCE_DEGC))
 
     def stated(self, found: _Uncertain, unit: str) -> Quantity:

@@ -99,3 +99,43 @@ def test_means_around_each_sample_are_those_of_scipy(width):
     values = 1e3 + np.random.default_rng(width).standard_normal(50)
     expected = uniform_filter1d(values, width, mode="nearest")
     assert_allclose(_around(values, width), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("swing_hz", [0.0, 3.0, 47.0])
+@pytest.mark.parametrize("speed", [0.4, 0.47, 1.0])
+def test_the_encoder_shows_how_much_the_speed_varies(speed, swing_hz):
+    """A speed with a sine of relative standard deviation 0.3: by ripple, or near the crossover of
+    a loop where friction falls with speed, in steps of an encoder of 8000 counts. An even speed
+    shows nothing, whatever part of a count it takes a sample."""
+    time, count = np.arange(0, 30, 8e-3), 2 * np.pi / 8000
+    rate = 2 * np.pi * swing_hz
+    angle = speed * time
+    if swing_hz:
+        angle = angle + 0.3 * np.sqrt(2) * speed * np.sin(rate * time) / rate
+    found = find_holds(
+        time=time,
+        angle=np.floor(angle / count) * count,
+        torque=np.full(len(time), 4e-3),
+        setpoint=speed * time,
+        inertia=1e-5,
+        count=count,
+    )
+    if swing_hz:
+        assert 0.6 * 0.3 < found.uneven[0] < 1.1 * 0.3
+    else:
+        assert found.uneven[0] < 1e-3
+
+
+def test_slow_swings_of_a_soft_loop_are_no_settling():
+    """A loop of a few Hz follows noise by swings that are longer than a turn at high speed."""
+    time = np.arange(0, 6, 8e-3)
+    behind = 0.3 * np.exp(-time / 0.2) + 0.05 * np.sin(2 * np.pi * 0.4 * time)
+    found = find_holds(
+        time=time,
+        angle=30 * time - behind,
+        torque=np.full(len(time), 4e-3),
+        setpoint=30 * time,
+        inertia=1e-5,
+    )
+    assert 0.2 < found.settled[0] < 0.8
+    assert found.revolutions[0] > 20

@@ -1,6 +1,7 @@
 """Friction by radial force: holds at equal speeds, with and without the force."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -44,6 +45,15 @@ def test_other_speeds_are_not_compared():
     )
     assert not found.results
     assert any("no speed was held" in note for note in found.notes)
+
+
+def test_a_hold_under_force_that_turns_unevenly_does_not_count():
+    found = Findings(Scale(Quantity(0.05, "N m/A", 0.0)))
+    before, after = holds([1, 2], [1e-3, 1e-3], 1e-6, 9), holds([1, 2], [3e-3, 2e-3], 1e-6, 9)
+    add_radial_friction(before, replace(after, uneven=np.array([0.3, 0.0])), 20.0, found)
+    assert found.results["radial_load_friction"].value == pytest.approx(1e-3)
+    assert not add_radial_friction(before, replace(after, uneven=np.ones(2)), 20.0, found)
+    assert "no speed was held" in found.notes[-1]
 
 
 def test_holds_without_scatter_or_speed_divide_nothing():

@@ -13,6 +13,7 @@ from rigtool.experiments.friction.low_current import (
     require_calibrated_gain,
     require_linear_at_low_current,
 )
+from rigtool.experiments.friction.results import Findings, Scale, add_friction
 from rigtool.experiments.friction.stribeck_fit import (
     fit_direction,
     fit_directions,
@@ -97,16 +98,32 @@ def test_no_hold_is_refused():
 
 
 def test_a_hold_of_which_one_sample_is_left_is_left_out():
-    """Three samples a turn, and settling that lasts until the last one."""
-    time = np.arange(40) * 0.05
+    """Three samples a turn: half of sixteen samples has no whole turns of eight samples."""
+    time = np.arange(16) * 0.05
     angle = 40.0 * time
-    behind = np.where(time < time[-2], np.exp(-time), 0.0)
-    signals = {"time": time, "torque": np.ones(40), "setpoint": angle, "inertia": 1e-5}
+    behind = np.where(time < time[8], 1.0, 0.0)
+    signals = {"time": time, "torque": np.ones(16), "setpoint": angle, "inertia": 1e-5}
     with pytest.raises(InsufficientDataError, match="leaves 8 samples once it has settled"):
         find_holds(angle=angle - behind, **signals)
 
 
 # -- models
+
+
+def test_a_direction_has_the_degrees_of_freedom_of_its_own_fit():
+    """Five speeds forward and eight backward leave 3 and 6; for the mean, Welch-Satterthwaite."""
+    rng = np.random.default_rng(1)
+    speed = np.array([3.0, 8, 12, 20, 30, -2, -3, -5, -8, -12, -16, -20, -30])
+    torque = np.sign(speed) * 2e-3 + 5e-5 * speed + 2e-5 * rng.standard_normal(len(speed))
+    fits = fit_directions(speed, torque, np.full(len(speed), 2e-5))
+    found = Findings(Scale(Quantity(0.045, "N m/A", 0.0)))
+    add_friction(fits, None, found)
+    sides = [found.results[f"viscous_friction_{name}"] for name in ("positive", "negative")]
+    assert [side.dof for side in sides] == [3.0, 6.0]
+    mean = found.results["viscous_friction"]
+    assert mean.u == pytest.approx(np.hypot(*(side.u for side in sides)) / 2)
+    spread = sum((side.u / 2) ** 4 / side.dof for side in sides)
+    assert mean.dof == pytest.approx(mean.u**4 / spread)
 
 
 def test_published_friction_comes_back():

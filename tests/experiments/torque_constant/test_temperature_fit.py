@@ -17,7 +17,12 @@ from rigtool.experiments.torque_constant.hypotheses import weigh_hypotheses
 from rigtool.experiments.torque_constant.staircase import amplifier_linearity, plateaus_of_set_point
 from rigtool.experiments.torque_constant.staircase_fit import fit_staircases
 from rigtool.experiments.torque_constant.staircase_model import HEATING_TIME
-from rigtool.experiments.torque_constant.temperature_fit import Calibration, _ripple, calibrate
+from rigtool.experiments.torque_constant.temperature_fit import (
+    Calibration,
+    _fit_temperature,
+    _ripple,
+    calibrate,
+)
 from rigtool.numerics.angle_effects import AngleEffects
 from rigtool.numerics.turn_mean import mean_over_turn
 from tests.experiments.torque_constant.staircases import Bench
@@ -82,10 +87,12 @@ def test_derivatives_are_those_of_gtc():
     gain = GTC.constant(1.0)
     for number in numbers.values():
         gain = gain * number / GTC.value(number)
-    zero = 20.0 - (found.torque_constant.value - value.x) / slope.x - off
+    centre = 20.0 - (found.torque_constant.value - value.x) / slope.x
+    # an error of the value is also one of the slope
+    slope = slope + _fit_temperature(found.slopes).tilt * (value - value.x)
 
     def at(temperature):
-        return gain * (value + (slope + trend) * (temperature - zero))
+        return gain * (value + (slope + trend) * (temperature - centre + off))
 
     mean = at(np.mean(ends))
     worst = max((mean / at(end) - 1 for end in ends), key=lambda error: abs(error.x))
@@ -103,6 +110,20 @@ def test_derivatives_are_those_of_gtc():
         for line in result.budget:
             derivative = GTC.reporting.sensitivity(number, every[line.name])
             assert line.sensitivity == pytest.approx(derivative, rel=1e-9), (name, line.name)
+
+
+def test_an_error_of_the_trend_is_one_of_the_coefficient_whatever_the_ripple():
+    # Ripple that three angles do not resolve scales value and slope alike: both err together, but
+    # what friction may add to the slope is about the temperatures that were measured.
+    for amplitude in (0.0, 0.02):
+        bench = Bench(ripple=(0.0, amplitude), saturation=0.0)
+        found = analyse(bench, bench.record((20, 50), angles=3, shifted=False))
+        lines = {line.name: line for line in found.coefficient.budget}
+        trend = lines["friction and resolution in the slope"]
+        size = trend.sensitivity * found.torque_constant.value
+        assert size == pytest.approx(1.0, abs=0.03), amplitude
+        assert lines["staircases"].value == pytest.approx(float(np.mean(found.value)), rel=0.01)
+        assert lines["staircases"].contribution < 0.01 * found.coefficient.value * -1
 
 
 @pytest.mark.parametrize("exponent", [0.7, 1.5])
