@@ -1,0 +1,230 @@
+"""An encoder that was zeroed elsewhere, found in the recording itself.
+
+With an encoder that shows b + o instead of the rotor's angle b, friction by angle and ripple are
+subtracted at the wrong place. In the cells of the learned angle, the torque of a pass in direction
+d that nothing touches is then
+
+    M = n [d (F(b - o) - F(b)) + R(b - o) - R(b)] + stroke + e
+
+with the torque factor n, friction F and torque by rotor angle R of the learned terms, whose
+coefficients have the learned covariance, friction's deviation of the stroke, and white noise e.
+Either ripple is that of the learned power-up, or its waves have other phases:
+beta ~ N(0, A^2 / 2), as in `power_up`. What touches makes cells as far off as `TOUCHED`; which
+ones, is found for each o by expectation and maximisation (A. P. Dempster, N. M. Laird, D. B. Rubin,
+J. R. Stat. Soc. B 39(1) 1977; its bound in R. M. Neal, G. E. Hinton, Learning in Graphical Models,
+1998, is the likelihood of o). All of this is linear for one o, so that o alone is searched.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rigtool.experiments.force_model.force_model import ForceModel
+from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS
+from rigtool.experiments.force_model.model import Kind, wave
+from rigtool.experiments.force_sensor.power_up import UNCERTAIN_SHARE
+from rigtool.experiments.force_sensor.unknown_friction import ANGLE_CELLS, FEWEST_CELLS, Passes
+from rigtool.numerics.arrays import Array
+
+FARTHEST, PLACES, PARTS = 0.5, 43, 4
+"""Largest o, in the learned range of angles, and part of the cells that were then not learned: with
+more, anything explains what passes show. Odd number of places that are tried, and parts of the
+distance between two of them near the best."""
+
+FEWEST_PASSES, MOST_PASSES = 2, 12
+"""Passes in each direction below which nothing is looked for; passes of all that are looked at."""
+
+NOISE, TOUCHED, TOUCHED_PROBABILITY, ROUNDS = 0.5, 5e-3, 0.3, 4
+"""White noise of a cell, in deviations of a stroke; torque that touches, N m; and the probability
+that something does, before anything is seen. Rounds of the search for what is touched."""
+
+ROW_EVIDENCE, UNMOVED, BEYOND = 0.5, 0.5, 30.0
+"""Part of the likelihood's logarithm that counts, as errors of cells that follow one another are
+alike; the probability that the zero is that of the learning, before anything is seen; and the rate
+at which it falls with the part of the cells that were then not learned: rigs move where they were
+learned, and friction elsewhere may be anything."""
+
+CERTAIN, LARGEST_U, UNTOUCHED_PART, SEEN_CELLS = 0.95, 0.05, 0.45, 0.8
+"""Probability of another zero from which on it is taken, and its largest u, in the learned range;
+parts of the passes of each direction that nothing touches, and of the cells that are so in both:
+with less, a load that stays looks like it."""
+
+
+@dataclass(frozen=True)
+class EncoderZero:
+    """The angle `moved` rad that the encoder shows too much, its standard uncertainty `u`, and the
+    `spread` N m of the torque on the output that follows from it."""
+
+    moved: float
+    u: float
+    spread: float
+
+
+def encoder_zero(
+    parts: Sequence[Passes],
+    model: ForceModel,
+    reach: tuple[float, float],
+    count: float,
+    hand: float | None = None,
+) -> EncoderZero | None:
+    """Return the zero that the passes of stretches show, in whole counts of `count` rad; None where
+    it is that of the learning, or too few passes are left alone by what touches.
+
+    Torques of the passes are those before another power-up's ripple was taken off; `reach` rad is
+    the learned range of angles. Torque that drives a pass with more than `hand` N m is a hand's.
+    """
+    direction = np.concatenate([part.direction for part in parts])
+    torque = np.vstack([part.torque for part in parts])
+    if hand is not None:
+        torque = np.where(direction[:, None] * torque >= -hand, torque, np.nan)
+    seen = np.isfinite(torque).sum(axis=1) >= FEWEST_CELLS
+    chosen = np.flatnonzero(seen)
+    if len(chosen) > MOST_PASSES:
+        chosen = chosen[np.linspace(0, len(chosen) - 1, MOST_PASSES).round().astype(int)]
+    direction, torque = direction[chosen], torque[chosen]
+    if min((direction > 0).sum(), (direction < 0).sum()) < FEWEST_PASSES:
+        return None
+    search = _Search(model, reach, direction, torque)
+    step = 2 * FARTHEST * (reach[1] - reach[0]) / (PLACES - 1)
+    places = step * (np.arange(PLACES) - PLACES // 2)
+    tried = [search.likelihood(place)[0] - BEYOND * search.beyond(place) for place in places]
+    best = places[np.argmax(tried)]
+    near = best + step / PARTS * np.arange(-2 * PARTS, 2 * PARTS + 1)
+    places = np.concatenate([places[np.abs(places - best) > 2.001 * step], near])
+    width = np.where(np.abs(places - best) > 2.001 * step, step, step / PARTS)
+    width /= 2 * FARTHEST * (reach[1] - reach[0])
+    logs = np.array([search.likelihood(place)[0] for place in (0.0, *places)])
+    odds = np.exp(ROW_EVIDENCE * (logs - logs.max()))
+    beyond = np.array([search.beyond(place) for place in places])
+    likely = np.exp(-BEYOND * beyond) * (beyond <= FARTHEST)
+    odds *= np.concatenate([[UNMOVED], (1 - UNMOVED) * width * likely])
+    unmoved, odds = odds[0] / odds.sum(), odds[1:] / odds[1:].sum()
+    mean = float(odds @ places)
+    moved, u = count * round(mean / count), math.sqrt(odds @ (places - mean) ** 2)
+    if moved == 0 or unmoved > 1 - CERTAIN or u > LARGEST_U * (reach[1] - reach[0]):
+        return None
+    if not search.shows(search.likelihood(moved)[1]):
+        return None
+    torques = np.array([search.mean(place) for place in places])
+    spread = float(np.sqrt(np.mean(odds @ (torques - search.mean(moved)) ** 2)))
+    return EncoderZero(moved, u, spread)
+
+
+class _Search:
+    """Passes in cells, and the linear model that they have for one o; see the module."""
+
+    def __init__(
+        self, model: ForceModel, reach: tuple[float, float], direction: Array, torque: Array
+    ) -> None:
+        learned, (low, high) = model.learned, reach
+        self._known = learned.known
+        self._angle = low + (0.5 + np.arange(ANGLE_CELLS)) * (high - low) / ANGLE_CELLS
+        kinds = ((Kind.BEARING, Kind.HOUSING), (Kind.OFFSET, Kind.COGGING), (Kind.RIPPLE,))
+        own = [[n for n, t in enumerate(learned.terms) if t.kind in kind] for kind in kinds]
+        self._terms = [[learned.terms[n] for n in numbers] for numbers in own]
+        every, plain = [*own[0], *own[1], *own[2]], len(own[0]) + len(own[1])
+        size = len(SLIDING_PARAMETERS)
+        covariance = learned.covariance[size:, size:][np.ix_(every, every)]
+        coefficient = learned.coefficient[every]
+        drawn = coefficient[plain:] ** 2 + UNCERTAIN_SHARE * np.diag(covariance)[plain:]
+        orders = [term.order for term in self._terms[2]]
+        amplitude = [sum(drawn[np.equal(orders, order)]) / 2 for order in orders]
+        other = covariance.copy()
+        other[plain:, :] = other[:, plain:] = 0.0
+        other[plain:, plain:] = np.diag(amplitude)
+        unknown = np.concatenate([coefficient[:plain], np.zeros(len(orders))])
+        self._hypotheses = [(coefficient, _root(covariance)), (unknown, _root(other))]
+        self._subtracted = self._waves(0.0) @ coefficient
+        self._pass, self._cell = np.nonzero(np.isfinite(torque))
+        self._direction = direction[self._pass]
+        self._torque = torque[self._pass, self._cell]
+        self._row = self._cell + ANGLE_CELLS * (self._direction < 0)
+        size = self._known.torque_factor * model.deviations.stroke
+        self._noise = NOISE * size
+        output = self._angle[self._cell] / self._known.angle_ratio
+        self._strokes = np.zeros((len(self._torque), 2 * len(torque)))
+        rows = np.arange(len(self._torque))
+        self._strokes[rows, 2 * self._pass] = size * np.cos(output)
+        self._strokes[rows, 2 * self._pass + 1] = size * np.sin(output)
+
+    def _waves(self, moved: float) -> Array:
+        """Return the terms in the cells of both directions, (2 cells, t), N m on the output."""
+        rotor = self._angle - moved
+        angles = (rotor / self._known.angle_ratio, rotor, rotor)
+        friction, *by_angle = (
+            np.array([wave(term, angle) for term in terms]).reshape(-1, ANGLE_CELLS)
+            for terms, angle in zip(self._terms, angles, strict=True)
+        )
+        both = [np.vstack([sign * friction, *by_angle]).T for sign in (1.0, -1.0)]
+        return self._known.torque_factor * np.vstack(both)
+
+    def beyond(self, moved: float) -> float:
+        """Return the part of the cells whose angles were not learned."""
+        angle = self._angle[np.unique(self._cell)] - moved
+        return float(np.mean((angle < self._angle[0]) | (angle > self._angle[-1])))
+
+    def mean(self, moved: float) -> Array:
+        """Return the torque that another zero makes of the learned friction, (cells,), N m."""
+        waves = self._waves(moved)[:ANGLE_CELLS, : len(self._terms[0])]
+        found: Array = waves @ self._hypotheses[0][0][: len(self._terms[0])]
+        return found
+
+    def likelihood(self, moved: float) -> tuple[float, Array]:
+        """Return the likelihood's logarithm, and the probability that nothing touches (n,), of the
+        hypothesis that is likelier."""
+        waves = self._waves(moved)
+        found = [
+            self._by_hypothesis((waves @ mean - self._subtracted)[self._row], waves @ root)
+            for mean, root in self._hypotheses
+        ]
+        return max(found, key=lambda one: one[0])
+
+    def _by_hypothesis(self, mean: Array, columns: Array) -> tuple[float, Array]:
+        left, s, w = self._torque - mean, self._noise, TOUCHED
+        design = np.hstack([columns[self._row], self._strokes])
+        prior = math.log(TOUCHED_PROBABILITY / (1 - TOUCHED_PROBABILITY))
+
+        def probability(error: Array, variance: Array | float) -> Array:
+            exponent = error**2 / 2 * (1 / variance - 1 / w**2) + np.log(variance / w**2) / 2
+            found: Array = 1 / (1 + np.exp(np.clip(prior + exponent, -30, 30)))
+            return found
+
+        untouched = probability(left, np.sum(design**2, axis=1) + s**2)
+        value = -math.inf
+        for _ in range(ROUNDS):
+            weight = untouched / s**2 + (1 - untouched) / w**2
+            weighted = design * weight[:, None]
+            normal = design.T @ weighted + np.eye(design.shape[1])
+            solution = np.linalg.solve(normal, weighted.T @ left)
+            value = -0.5 * float(weight @ left**2 - (weighted.T @ left) @ solution)
+            value -= 0.5 * float(np.linalg.slogdet(normal)[1])
+            of_each = untouched * math.log((1 - TOUCHED_PROBABILITY) / s)
+            of_each += (1 - untouched) * math.log(TOUCHED_PROBABILITY / w)
+            entropy = -untouched * np.log(untouched) - (1 - untouched) * np.log1p(-untouched)
+            value += float(np.sum(of_each + entropy))
+            found, untouched = untouched, probability(left - design @ solution, s**2)
+        return value, found
+
+    def shows(self, untouched: Array) -> bool:
+        """Return whether cells (n,) that nothing touches, by probability, are enough."""
+        parts, seen = [], []
+        for sign in (1.0, -1.0):
+            side = self._direction == sign
+            parts.append(float(untouched[side].mean()))
+            free = np.bincount(self._cell[side], untouched[side], minlength=ANGLE_CELLS)
+            seen.append(free > UNMOVED)
+        passed = np.unique(self._cell).size
+        return (
+            min(parts) >= UNTOUCHED_PART and int((seen[0] & seen[1]).sum()) >= SEEN_CELLS * passed
+        )
+
+
+def _root(covariance: Array) -> Array:
+    """Return a matrix S of which S S' is a covariance."""
+    values, vectors = np.linalg.eigh(covariance)
+    found: Array = vectors * np.sqrt(np.maximum(values, 0.0))
+    return found
