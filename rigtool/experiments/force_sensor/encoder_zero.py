@@ -143,13 +143,13 @@ class _Search:
         self._direction = direction[self._pass]
         self._torque = torque[self._pass, self._cell]
         self._row = self._cell + ANGLE_CELLS * (self._direction < 0)
-        size = self._known.torque_factor * model.deviations.stroke
-        self._noise = NOISE * size
+        deviation = self._known.torque_factor * model.deviations.stroke
+        self._noise = NOISE * deviation
         output = self._angle[self._cell] / self._known.angle_ratio
         self._strokes = np.zeros((len(self._torque), 2 * len(torque)))
         rows = np.arange(len(self._torque))
-        self._strokes[rows, 2 * self._pass] = size * np.cos(output)
-        self._strokes[rows, 2 * self._pass + 1] = size * np.sin(output)
+        self._strokes[rows, 2 * self._pass] = deviation * np.cos(output)
+        self._strokes[rows, 2 * self._pass + 1] = deviation * np.sin(output)
 
     def _waves(self, moved: float) -> Array:
         """Return the terms in the cells of both directions, (2 cells, t), N m on the output."""
