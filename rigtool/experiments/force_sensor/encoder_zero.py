@@ -35,12 +35,15 @@ FARTHEST, PLACES, PARTS = 0.5, 43, 4
 more, anything explains what passes show. Odd number of places that are tried, and parts of the
 distance between two of them near the best."""
 
-FEWEST_PASSES, MOST_PASSES = 2, 12
-"""Passes in each direction below which nothing is looked for; passes of all that are looked at."""
+FEWEST_PASSES, MOST_PASSES = 2, 8
+"""Passes in each direction below which nothing is looked for, and how many are looked at."""
 
 NOISE, TOUCHED, TOUCHED_PROBABILITY, ROUNDS = 0.5, 5e-3, 0.3, 4
 """White noise of a cell, in deviations of a stroke; torque that touches, N m; and the probability
 that something does, before anything is seen. Rounds of the search for what is touched."""
+
+LEAST_DEVIATION = 1e-5
+"""Deviation of a sum of coefficients below which it is taken as known, N m."""
 
 ROW_EVIDENCE, UNMOVED, BEYOND = 0.5, 0.5, 30.0
 """Part of the likelihood's logarithm that counts, as errors of cells that follow one another are
@@ -82,12 +85,13 @@ def encoder_zero(
     if hand is not None:
         torque = np.where(direction[:, None] * torque >= -hand, torque, np.nan)
     seen = np.isfinite(torque).sum(axis=1) >= FEWEST_CELLS
-    chosen = np.flatnonzero(seen)
-    if len(chosen) > MOST_PASSES:
-        chosen = chosen[np.linspace(0, len(chosen) - 1, MOST_PASSES).round().astype(int)]
-    direction, torque = direction[chosen], torque[chosen]
-    if min((direction > 0).sum(), (direction < 0).sum()) < FEWEST_PASSES:
+    sides = [np.flatnonzero(seen & (direction == sign)) for sign in (1.0, -1.0)]
+    if min(map(len, sides)) < FEWEST_PASSES:
         return None
+    spread = [np.linspace(0, len(one) - 1, min(len(one), MOST_PASSES)) for one in sides]
+    every = zip(sides, spread, strict=True)
+    chosen = np.sort(np.concatenate([one[at.round().astype(int)] for one, at in every]))
+    direction, torque = direction[chosen], torque[chosen]
     search = _Search(model, reach, direction, torque)
     step = 2 * FARTHEST * (reach[1] - reach[0]) / (PLACES - 1)
     places = step * (np.arange(PLACES) - PLACES // 2)
@@ -110,8 +114,8 @@ def encoder_zero(
     if not search.shows(search.likelihood(moved)[1]):
         return None
     torques = np.array([search.mean(place) for place in places])
-    spread = float(np.sqrt(np.mean(odds @ (torques - search.mean(moved)) ** 2)))
-    return EncoderZero(moved, u, spread)
+    off = float(np.sqrt(np.mean(odds @ (torques - search.mean(moved)) ** 2)))
+    return EncoderZero(moved, u, off)
 
 
 class _Search:
@@ -193,21 +197,18 @@ class _Search:
             found: Array = 1 / (1 + np.exp(np.clip(prior + exponent, -30, 30)))
             return found
 
-        untouched = probability(left, np.sum(design**2, axis=1) + s**2)
-        value = -math.inf
-        for _ in range(ROUNDS):
-            weight = untouched / s**2 + (1 - untouched) / w**2
+        found = probability(left, np.sum(design**2, axis=1) + s**2)
+        for number in range(ROUNDS):
+            weight = found / s**2 + (1 - found) / w**2
             weighted = design * weight[:, None]
-            normal = design.T @ weighted + np.eye(design.shape[1])
-            solution = np.linalg.solve(normal, weighted.T @ left)
-            value = -0.5 * float(weight @ left**2 - (weighted.T @ left) @ solution)
-            value -= 0.5 * float(np.linalg.slogdet(normal)[1])
-            of_each = untouched * math.log((1 - TOUCHED_PROBABILITY) / s)
-            of_each += (1 - untouched) * math.log(TOUCHED_PROBABILITY / w)
-            entropy = -untouched * np.log(untouched) - (1 - untouched) * np.log1p(-untouched)
-            value += float(np.sum(of_each + entropy))
-            found, untouched = untouched, probability(left - design @ solution, s**2)
-        return value, found
+            normal, right = design.T @ weighted + np.eye(design.shape[1]), weighted.T @ left
+            solution = np.linalg.solve(normal, right)
+            if number < ROUNDS - 1:
+                found = probability(left - design @ solution, s**2)
+        value = -(weight @ left**2 - right @ solution + np.linalg.slogdet(normal)[1]) / 2
+        value += found @ np.log((1 - TOUCHED_PROBABILITY) / (s * found))
+        value += (1 - found) @ np.log(TOUCHED_PROBABILITY / (w * (1 - found)))
+        return float(value), found
 
     def shows(self, untouched: Array) -> bool:
         """Return whether cells (n,) that nothing touches, by probability, are enough."""
@@ -224,7 +225,8 @@ class _Search:
 
 
 def _root(covariance: Array) -> Array:
-    """Return a matrix S of which S S' is a covariance."""
+    """Return a matrix S of which S S' is a covariance, but for what is too small to matter."""
     values, vectors = np.linalg.eigh(covariance)
-    found: Array = vectors * np.sqrt(np.maximum(values, 0.0))
+    large = values > LEAST_DEVIATION**2
+    found: Array = vectors[:, large] * np.sqrt(values[large])
     return found
