@@ -13,7 +13,8 @@ c is from errors without load, or from all where these are too few, and g from a
 score is least where 95 % of the errors are within h, whatever their tails: friction's are heavy
 after reversals and at rest. All that lies within `INDEPENDENT_TIME` counts as one error; normal
 errors of deviation s, `EXPECTED` in number, count besides. While the rotor slides, s follows from
-hundreds of strokes, so that they are many there.
+hundreds of strokes, so that they are many there. Known loads do not change while the rotor stands
+still, as others may: errors at rest show no less than c = 1 there.
 """
 
 from __future__ import annotations
@@ -82,8 +83,10 @@ def scales(parts: Sequence[Errors]) -> Array:
     for together in KINDS_TOGETHER:
         chosen = np.isin(kinds, together)
         expected = SLIDING_EXPECTED if State.AGAINST in together else EXPECTED
+        least = 1.0 if together == (State.STILL,) else FACTORS[0]
         if chosen.sum() >= MIN_STEPS:
-            own = _of_both(error[:, chosen], deviation[:, chosen], torque[chosen], expected)
+            parted = error[:, chosen], deviation[:, chosen], torque[chosen]
+            own = _of_both(*parted, expected, least)
         else:
             if expected not in of_all:
                 of_all[expected] = _of_both(error, deviation, torque, expected)
@@ -92,13 +95,17 @@ def scales(parts: Sequence[Errors]) -> Array:
     return found
 
 
-def _of_both(error: Array, deviation: Array, torque: Array, expected: float) -> Array:
-    """Return c and g of smoothed and of causal torque, (2, 2)."""
+def _of_both(
+    error: Array, deviation: Array, torque: Array, expected: float, least: float = FACTORS[0]
+) -> Array:
+    """Return c, of a value at the least, and g of smoothed and of causal torque, (2, 2)."""
     pairs = zip(error, deviation, strict=True)
-    return np.stack([_of_least_score(*own, torque, expected) for own in pairs])
+    return np.stack([_of_least_score(*own, torque, expected, least) for own in pairs])
 
 
-def _of_least_score(error: Array, deviation: Array, torque: Array, expected: float) -> Array:
+def _of_least_score(
+    error: Array, deviation: Array, torque: Array, expected: float, least: float
+) -> Array:
     """Return c and g, (2,), of errors (n,)."""
     errors, loads = np.abs(error / deviation), np.abs(torque / deviation)
     free = loads == 0
@@ -106,7 +113,8 @@ def _of_least_score(error: Array, deviation: Array, torque: Array, expected: flo
         free[:] = True
 
     own = errors[free]
-    factor = _least(lambda c: _score(own, np.full(len(own), c), expected, c), *FACTORS)
+    best = _least(lambda c: _score(own, np.full(len(own), c), expected, c), *FACTORS)
+    factor = max(best, least)
     share = _least(lambda g: _score(errors, np.hypot(factor, g * loads)), *SHARES)
     return np.array([factor, share])
 
