@@ -38,12 +38,13 @@ distance between two of them near the best."""
 FEWEST_PASSES, MOST_PASSES = 2, 8
 """Passes in each direction below which nothing is looked for, and how many are looked at."""
 
-NOISE, TOUCHED, TOUCHED_PROBABILITY, ROUNDS = 0.5, 5e-3, 0.3, 4
-"""White noise of a cell, in deviations of a stroke; torque that touches, N m; and the probability
-that something does, before anything is seen. Rounds of the search for what is touched."""
+NOISE, TOUCHED, KNOWN = 0.5, 12.0, 0.03
+"""In deviations of a stroke: white noise of a cell, torque that touches, and the deviation of a sum
+of coefficients below which it is taken as known."""
 
-LEAST_DEVIATION = 1e-5
-"""Deviation of a sum of coefficients below which it is taken as known, N m."""
+TOUCHED_PROBABILITY, ROUNDS = 0.3, 4
+"""Probability that something touches, before anything is seen; rounds of the search for what is
+touched."""
 
 ROW_EVIDENCE, UNMOVED, BEYOND = 0.5, 0.5, 30.0
 """Part of the likelihood's logarithm that counts, as errors of cells that follow one another are
@@ -86,7 +87,7 @@ def encoder_zero(
         torque = np.where(direction[:, None] * torque >= -hand, torque, np.nan)
     seen = np.isfinite(torque).sum(axis=1) >= FEWEST_CELLS
     sides = [np.flatnonzero(seen & (direction == sign)) for sign in (1.0, -1.0)]
-    if min(map(len, sides)) < FEWEST_PASSES:
+    if min(map(len, sides)) < FEWEST_PASSES or model.deviations.stroke <= 0:
         return None
     spread = [np.linspace(0, len(one) - 1, min(len(one), MOST_PASSES)) for one in sides]
     every = zip(sides, spread, strict=True)
@@ -95,18 +96,17 @@ def encoder_zero(
     search = _Search(model, reach, direction, torque)
     step = 2 * FARTHEST * (reach[1] - reach[0]) / (PLACES - 1)
     places = step * (np.arange(PLACES) - PLACES // 2)
-    tried = [search.likelihood(place)[0] - BEYOND * search.beyond(place) for place in places]
-    best = places[np.argmax(tried)]
+    logs = np.array([search.odds(place) for place in places])
+    unmoved = logs[PLACES // 2] + math.log(UNMOVED)
+    best = places[np.argmax(logs)]
+    far = np.abs(places - best) > 2.001 * step
     near = best + step / PARTS * np.arange(-2 * PARTS, 2 * PARTS + 1)
-    places = np.concatenate([places[np.abs(places - best) > 2.001 * step], near])
-    width = np.where(np.abs(places - best) > 2.001 * step, step, step / PARTS)
-    width /= 2 * FARTHEST * (reach[1] - reach[0])
-    logs = np.array([search.likelihood(place)[0] for place in (0.0, *places)])
-    odds = np.exp(ROW_EVIDENCE * (logs - logs.max()))
-    beyond = np.array([search.beyond(place) for place in places])
-    likely = np.exp(-BEYOND * beyond) * (beyond <= FARTHEST)
-    odds *= np.concatenate([[UNMOVED], (1 - UNMOVED) * width * likely])
-    unmoved, odds = odds[0] / odds.sum(), odds[1:] / odds[1:].sum()
+    fine = [search.odds(place) - math.log(PARTS) for place in near]
+    places, logs = np.concatenate([places[far], near]), np.concatenate([logs[far], fine])
+    logs += math.log((1 - UNMOVED) / PLACES)
+    odds = np.exp(logs - logs.max())
+    unmoved = 1 / (1 + odds.sum() * math.exp(np.clip(logs.max() - unmoved, -100, 100)))
+    odds /= odds.sum()
     mean = float(odds @ places)
     moved, u = count * round(mean / count), math.sqrt(odds @ (places - mean) ** 2)
     if moved == 0 or unmoved > 1 - CERTAIN or u > LARGEST_U * (reach[1] - reach[0]):
@@ -141,14 +141,16 @@ class _Search:
         other[plain:, :] = other[:, plain:] = 0.0
         other[plain:, plain:] = np.diag(amplitude)
         unknown = np.concatenate([coefficient[:plain], np.zeros(len(orders))])
-        self._hypotheses = [(coefficient, _root(covariance)), (unknown, _root(other))]
+        stroke = model.deviations.stroke
+        roots = [_root(one, KNOWN * stroke) for one in (covariance, other)]
+        self._hypotheses = list(zip((coefficient, unknown), roots, strict=True))
         self._subtracted = self._waves(0.0) @ coefficient
         self._pass, self._cell = np.nonzero(np.isfinite(torque))
         self._direction = direction[self._pass]
         self._torque = torque[self._pass, self._cell]
         self._row = self._cell + ANGLE_CELLS * (self._direction < 0)
-        deviation = self._known.torque_factor * model.deviations.stroke
-        self._noise = NOISE * deviation
+        deviation = self._known.torque_factor * stroke
+        self._noise, self._touched = NOISE * deviation, TOUCHED * deviation
         output = self._angle[self._cell] / self._known.angle_ratio
         self._strokes = np.zeros((len(self._torque), 2 * len(torque)))
         rows = np.arange(len(self._torque))
@@ -166,10 +168,13 @@ class _Search:
         both = [np.vstack([sign * friction, *by_angle]).T for sign in (1.0, -1.0)]
         return self._known.torque_factor * np.vstack(both)
 
-    def beyond(self, moved: float) -> float:
-        """Return the part of the cells whose angles were not learned."""
+    def odds(self, moved: float) -> float:
+        """Return the logarithm of the probability of o, but for what is the same for all."""
         angle = self._angle[np.unique(self._cell)] - moved
-        return float(np.mean((angle < self._angle[0]) | (angle > self._angle[-1])))
+        beyond = float(np.mean((angle < self._angle[0]) | (angle > self._angle[-1])))
+        if beyond > FARTHEST:
+            return -math.inf
+        return ROW_EVIDENCE * self.likelihood(moved)[0] - BEYOND * beyond
 
     def mean(self, moved: float) -> Array:
         """Return the torque that another zero makes of the learned friction, (cells,), N m."""
@@ -188,7 +193,7 @@ class _Search:
         return max(found, key=lambda one: one[0])
 
     def _by_hypothesis(self, mean: Array, columns: Array) -> tuple[float, Array]:
-        left, s, w = self._torque - mean, self._noise, TOUCHED
+        left, s, w = self._torque - mean, self._noise, self._touched
         design = np.hstack([columns[self._row], self._strokes])
         prior = math.log(TOUCHED_PROBABILITY / (1 - TOUCHED_PROBABILITY))
 
@@ -217,16 +222,14 @@ class _Search:
             side = self._direction == sign
             parts.append(float(untouched[side].mean()))
             free = np.bincount(self._cell[side], untouched[side], minlength=ANGLE_CELLS)
-            seen.append(free > UNMOVED)
-        passed = np.unique(self._cell).size
-        return (
-            min(parts) >= UNTOUCHED_PART and int((seen[0] & seen[1]).sum()) >= SEEN_CELLS * passed
-        )
+            seen.append(free > 1 / 2)
+        both = float((seen[0] & seen[1]).sum()) / np.unique(self._cell).size
+        return min(parts) >= UNTOUCHED_PART and both >= SEEN_CELLS
 
 
-def _root(covariance: Array) -> Array:
-    """Return a matrix S of which S S' is a covariance, but for what is too small to matter."""
+def _root(covariance: Array, least: float) -> Array:
+    """Return a matrix S of which S S' is a covariance, but for deviations below the least one."""
     values, vectors = np.linalg.eigh(covariance)
-    large = values > LEAST_DEVIATION**2
+    large = values > least**2
     found: Array = vectors[:, large] * np.sqrt(values[large])
     return found
