@@ -38,9 +38,9 @@ distance between two of them near the best."""
 FEWEST_PASSES, MOST_PASSES = 2, 8
 """Passes in each direction below which nothing is looked for, and how many are looked at."""
 
-NOISE, TOUCHED, KNOWN = 0.5, 12.0, 0.03
-"""In deviations of a stroke: white noise of a cell, torque that touches, and the deviation of a sum
-of coefficients below which it is taken as known."""
+NOISE, KNOWN, TOUCHED = 0.5, 0.03, 0.35
+"""In deviations of a stroke: white noise of a cell, and the deviation of a sum of coefficients
+below which it is taken as known. In parts of the friction: torque that touches."""
 
 TOUCHED_PROBABILITY, ROUNDS = 0.3, 4
 """Probability that something touches, before anything is seen; rounds of the search for what is
@@ -150,7 +150,9 @@ class _Search:
         self._torque = torque[self._pass, self._cell]
         self._row = self._cell + ANGLE_CELLS * (self._direction < 0)
         deviation = self._known.torque_factor * stroke
-        self._noise, self._touched = NOISE * deviation, TOUCHED * deviation
+        friction = sum(c for t, c in zip(self._terms[0], coefficient, strict=False) if not t.order)
+        self._noise = NOISE * deviation
+        self._touched = TOUCHED * self._known.torque_factor * float(friction)
         output = self._angle[self._cell] / self._known.angle_ratio
         self._strokes = np.zeros((len(self._torque), 2 * len(torque)))
         rows = np.arange(len(self._torque))
