@@ -15,7 +15,8 @@ and not how far the friction is off that they gave. The score is least where 95 
 within h, whatever their tails: friction's are heavy after reversals and at rest. All that lies
 within `INDEPENDENT_TIME` counts as one error; normal errors of deviation s, `EXPECTED` in number,
 count besides. While the rotor slides, s follows from hundreds of strokes, so that they are many
-there.
+there. Known loads do not change while the rotor stands still, as others may: errors at rest show no
+less than c = 1 there.
 """
 
 from __future__ import annotations
@@ -98,9 +99,10 @@ def scales(parts: Sequence[Errors]) -> Array:
         if State.AGAINST in together:
             expected, own_free = SLIDING_EXPECTED, free & unseen
             own_free = own_free if (own_free & chosen).sum() >= MIN_STEPS else free
+        least = 1.0 if together == (State.STILL,) else FACTORS[0]
         if chosen.sum() >= MIN_STEPS:
             of_kind = error[:, chosen], deviation[:, chosen], torque[chosen], own_free[chosen]
-            own = _of_both(*of_kind, expected)
+            own = _of_both(*of_kind, expected, least)
         else:
             if expected not in of_all:
                 of_all[expected] = _of_both(error, deviation, torque, free, expected)
@@ -109,21 +111,30 @@ def scales(parts: Sequence[Errors]) -> Array:
     return found
 
 
-def _of_both(error: Array, deviation: Array, torque: Array, free: Mask, expected: float) -> Array:
-    """Return c and g of smoothed and of causal torque, (2, 2), c of the errors that are `free`."""
+def _of_both(
+    error: Array,
+    deviation: Array,
+    torque: Array,
+    free: Mask,
+    expected: float,
+    least: float = FACTORS[0],
+) -> Array:
+    """Return c and g of smoothed and of causal torque, (2, 2), c of the errors that are `free`, of
+    a value at the least."""
     if free.sum() < MIN_STEPS:
         free = np.ones_like(free)
     pairs = zip(error, deviation, strict=True)
-    return np.stack([_of_least_score(*own, torque, free, expected) for own in pairs])
+    return np.stack([_of_least_score(*own, torque, free, expected, least) for own in pairs])
 
 
 def _of_least_score(
-    error: Array, deviation: Array, torque: Array, free: Mask, expected: float
+    error: Array, deviation: Array, torque: Array, free: Mask, expected: float, least: float
 ) -> Array:
     """Return c and g, (2,), of errors (n,)."""
     errors, loads = np.abs(error / deviation), np.abs(torque / deviation)
     own = errors[free]
-    factor = _least(lambda c: _score(own, np.full(len(own), c), expected, c), *FACTORS)
+    best = _least(lambda c: _score(own, np.full(len(own), c), expected, c), *FACTORS)
+    factor = max(best, least)
     share = _least(lambda g: _score(errors, np.hypot(factor, g * loads)), *SHARES)
     return np.array([factor, share])
 

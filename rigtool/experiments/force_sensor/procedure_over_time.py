@@ -17,6 +17,7 @@ from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.force_filter.motion_states import CREEP_SPEED_RATIO, Reach, State
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.stored import model_from
+from rigtool.experiments.force_sensor.encoder_zero import EncoderZero, encoder_zero
 from rigtool.experiments.force_sensor.procedure_motion import (
     path_from_start,
     require_learned,
@@ -142,28 +143,55 @@ def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: R
             "which the filter needs at measure_force.motion.bandwidth_hz: record for longer, "
             "without gaps"
         )
-    _require_values(read, recorded, reach)
     observed = not all(r.has("position_setpoint") for r in recorded)
-    read, notes = _of_this_instrument(read, model, tables, observed=observed)
+    zero = _zero(read, recipe, model, reach, observed=observed)
+    if zero is not None:
+        again = [
+            read_recording(r, recipe, kt, model, reach, zero.moved) for r in recorded if r.size
+        ]
+        # what is found again, or leaves nothing, was another thing
+        if _zero(again, recipe, model, reach, observed=observed) is not None:
+            zero = None
+        else:
+            read = again
+    _require_values(read, recorded, reach)
+    read, notes = _of_this_instrument(read, model, tables, observed=observed, zero=zero)
     outcome = force_outcome(read, recipe, reach, model.scales[0], model.limits)
     return replace(outcome, notes=(*outcome.notes, *notes))
 
 
+def _largest_friction(model: ForceModel, observed: bool) -> float | None:
+    """Return the torque N m with which friction may drive a pass: more is a hand, which may have
+    moved a rig that was `observed`; None where rigtool moved it."""
+    plant = model.plant(1.0)
+    friction = plant.torque_factor * (plant.coulomb + plant.housing_friction)
+    return HAND_PART_OF_FRICTION * friction if observed else None
+
+
+def _zero(
+    read: Sequence[Recorded], recipe: Recipe, model: ForceModel, reach: Reach, *, observed: bool
+) -> EncoderZero | None:
+    """Return the zero that the encoder has, where the recordings show that it is another one."""
+    count, hand = 2 * math.pi / recipe.rig.encoder_counts, _largest_friction(model, observed)
+    passes = [part.passes[1] for r in read for part in r.parts]
+    return encoder_zero(passes, model, reach.angle, count, hand) if passes else None
+
+
 def _of_this_instrument(
-    read: Sequence[Recorded], model: ForceModel, tables: Run, *, observed: bool
+    read: Sequence[Recorded],
+    model: ForceModel,
+    tables: Run,
+    *,
+    observed: bool,
+    zero: EncoderZero | None = None,
 ) -> tuple[list[Recorded], list[str]]:
     """Return the recordings with u widened where the tables do not hold the friction, and notes.
 
-    Where a rig was `observed`, a hand may have moved it. Raises `InsufficientDataError` where the
-    friction is that of another instrument.
+    Where a rig was `observed`, a hand may have moved it; they were read with the `zero`. Raises
+    `InsufficientDataError` where the friction is that of another instrument.
     """
-    plant = model.plant(1.0)
-    friction = plant.torque_factor * (plant.coulomb + plant.housing_friction)
     forms = zip(*(part.passes for r in read for part in r.parts), strict=True)
-    both = [
-        unknown_friction(form, HAND_PART_OF_FRICTION * friction if observed else None)
-        for form in forms
-    ]
+    both = [unknown_friction(form, _largest_friction(model, observed)) for form in forms]
     found = max(filter(None, both), key=lambda one: one.size, default=None)
     share = unknown_share([part.passes[0] for r in read for part in r.parts])
     grows = [
@@ -172,8 +200,17 @@ def _of_this_instrument(
         "the other way with it: u is wider by this share; the load opposes motion itself, or "
         f"{tables.path} does not hold the friction under load: learn again"
     ] * (share != 0)
+    spread = 0.0
+    if zero is not None:
+        degrees, spread = np.degrees([zero.moved, zero.u]), zero.spread
+        grows.append(
+            f"the encoder shows {degrees[0]:.1f}({degrees[1]:.1f}) deg of the motor more than when "
+            f"{tables.path} was learned, by friction and ripple along the angle: torque is read "
+            "with this taken off, what --stream and --live show is not; zero the encoder where it "
+            "was zeroed then"
+        )
     if found is None:
-        return _widened(read, 0.0, share), [
+        return _widened(read, spread, share), [
             *grows,
             f"whether {tables.path} is of this instrument was not checked: that needs the same "
             f"angles {FEWEST_PASSES} times in both directions, with nothing touching in most",
@@ -187,8 +224,8 @@ def _of_this_instrument(
             "load opposes all motion alike; learn again with ilc-learn --implementation D"
         )
     if found.over_u <= DOUBTED:
-        return _widened(read, 0.0, share), grows
-    return _widened(read, found.widening, share), [
+        return _widened(read, spread, share), grows
+    return _widened(read, math.hypot(found.widening, spread), share), [
         *grows,
         f"friction of {size:.3g} mN m opposes motion in both directions and {limit}: "
         f"u is wider by {found.widening * 1e3:.3g} mN m; the encoder was zeroed elsewhere, or the "

@@ -113,13 +113,16 @@ def read_recording(
     kt: Run,
     model: ForceModel,
     reach: Reach,
+    moved: float = 0.0,
 ) -> Recorded:
-    """Return the torque over a recording, and contacts, by stretches without gaps."""
+    """Return the torque over a recording, and contacts, by stretches without gaps; the encoder
+    shows `moved` rad too much."""
     if recording.size < 2:
         return Recorded(recording.name, (), 0, 0.0)
     interval = _interval(recording, recipe)
     require_interval(interval, recording.name)
     instrument = instrument_of(recipe, kt, model, reach, interval)
+    counts = round(moved / instrument.count)
     parts: list[TorqueRows] = []
     breaks, read, done = -1, 0.0, 0
     with ThreadPoolExecutor(2) as workers:
@@ -143,6 +146,8 @@ def read_recording(
                     commanded=recording.has("position_setpoint"),
                 )
             done += block.shape[1]
+            if counts:
+                block[1] -= counts
             stretch.add(block[1:])
         if stretch is not None:
             parts += stretch.reading()

@@ -28,7 +28,12 @@ def drawn(factor, share, kind, count=MINUTES, seed=3, tails=False):
 
 @pytest.mark.parametrize(
     ("factor", "share", "kind"),
-    [(2.5, 0.0, State.REVERSED), (0.7, 0.0, State.STILL), (1.0, 0.05, CREEPING_KIND)],
+    [
+        (2.5, 0.0, State.REVERSED),
+        (1.3, 0.0, State.STILL),
+        (0.7, 0.0, CREEPING_KIND),
+        (1.0, 0.05, CREEPING_KIND),
+    ],
 )
 def test_factor_and_share_are_those_of_the_errors(factor, share, kind):
     own = drawn(factor, share, kind)
@@ -38,6 +43,13 @@ def test_factor_and_share_are_those_of_the_errors(factor, share, kind):
     np.testing.assert_allclose(found[:, 1], share, atol=8e-3)
     u = uncertainty_of_kinds(every[1], own.deviation[1], own.torque, own.kinds, NO_RIPPLE)
     assert 0.945 < np.mean(np.abs(own.error[1]) < 1.96 * u) < 0.955
+
+
+@pytest.mark.parametrize("share", [0.0, 0.05])
+def test_known_loads_that_do_not_change_at_rest_do_not_narrow_it(share):
+    found = scales([drawn(0.7, share, State.STILL)])[:, State.STILL]
+    np.testing.assert_array_equal(found[:, 0], 1.0)
+    np.testing.assert_allclose(found[:, 1], share, atol=8e-3)
 
 
 def test_kinds_have_their_own_errors_and_sliding_has_one_for_both_directions():

@@ -418,6 +418,23 @@ def test_samples_that_are_too_coarse_give_no_force_as_it_comes(rig, change):
         LiveForce(recipe, kt=kt, tables=tables)
 
 
+@pytest.mark.parametrize("counts", [0, 300])
+def test_an_encoder_that_was_zeroed_elsewhere_is_found_and_corrected(
+    rig, strokes, tmp_path, counts
+):
+    source, _ = changed(rig, tmp_path, lambda own: {**own, "encoder": own["encoder"] + counts})
+    found = run(MEASURE_FORCE, source, tmp_path / "moved.h5", kt=KT, tables=rig.tables)
+    said = [note for note in found.notes if "the encoder shows" in note]
+    assert bool(said) == bool(counts)
+    if said:
+        degrees = float(re.search(r"shows (-?[\d.]+)\(", said[0]).group(1))
+        assert degrees == pytest.approx(counts * 360 / 4000, abs=6)
+    own, table = strokes.tables["force"], found.tables["force"]
+    there = np.isfinite(own["torque"]) & np.isfinite(table["torque"])
+    assert there.mean() > 0.9
+    assert np.sqrt(np.mean((table["torque"] - own["torque"])[there] ** 2)) < 0.35e-3
+
+
 def test_tables_of_another_instrument_are_refused(rig):
     other = ("measure_force.speed_rev_per_s=0.5", "virtual.instrument.tip_friction=6e-3")
     with pytest.raises(

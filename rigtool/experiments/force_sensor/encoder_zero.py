@@ -1,0 +1,237 @@
+"""An encoder that was zeroed elsewhere, found in the recording itself.
+
+With an encoder that shows b + o instead of the rotor's angle b, friction by angle and ripple are
+subtracted at the wrong place. In the cells of the learned angle, the torque of a pass in direction
+d that nothing touches is then
+
+    M = n [d (F(b - o) - F(b)) + R(b - o) - R(b)] + stroke + e
+
+with the torque factor n, friction F and torque by rotor angle R of the learned terms, whose
+coefficients have the learned covariance, friction's deviation of the stroke, and white noise e.
+Either ripple is that of the learned power-up, or its waves have other phases:
+beta ~ N(0, A^2 / 2), as in `power_up`. What touches makes cells as far off as `TOUCHED`; which
+ones, is found for each o by expectation and maximisation (A. P. Dempster, N. M. Laird, D. B. Rubin,
+J. R. Stat. Soc. B 39(1) 1977; its bound in R. M. Neal, G. E. Hinton, Learning in Graphical Models,
+1998, is the likelihood of o). All of this is linear for one o, so that o alone is searched.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rigtool.experiments.force_model.force_model import ForceModel
+from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS
+from rigtool.experiments.force_model.model import Kind, wave
+from rigtool.experiments.force_sensor.power_up import UNCERTAIN_SHARE
+from rigtool.experiments.force_sensor.unknown_friction import ANGLE_CELLS, FEWEST_CELLS, Passes
+from rigtool.numerics.arrays import Array
+
+FARTHEST, PLACES, PARTS = 0.5, 43, 4
+"""Largest o, in the learned range of angles, and part of the cells that were then not learned: with
+more, anything explains what passes show. Odd number of places that are tried, and parts of the
+distance between two of them near the best."""
+
+FEWEST_PASSES, MOST_PASSES = 2, 8
+"""Passes in each direction below which nothing is looked for, and how many are looked at."""
+
+NOISE, KNOWN, TOUCHED = 0.5, 0.03, 0.35
+"""In deviations of a stroke: white noise of a cell, and the deviation of a sum of coefficients
+below which it is taken as known. In parts of the friction: torque that touches."""
+
+TOUCHED_PROBABILITY, ROUNDS = 0.3, 4
+"""Probability that something touches, before anything is seen; rounds of the search for what is
+touched."""
+
+ROW_EVIDENCE, UNMOVED, BEYOND = 0.5, 0.5, 30.0
+"""Part of the likelihood's logarithm that counts, as errors of cells that follow one another are
+alike; the probability that the zero is that of the learning, before anything is seen; and the rate
+at which it falls with the part of the cells that were then not learned: rigs move where they were
+learned, and friction elsewhere may be anything."""
+
+CERTAIN, LARGEST_U, UNTOUCHED_PART, SEEN_CELLS = 0.95, 0.05, 0.45, 0.8
+"""Probability of another zero from which on it is taken, and its largest u, in the learned range;
+parts of the passes of each direction that nothing touches, and of the cells that are so in both:
+with less, a load that stays looks like it."""
+
+
+@dataclass(frozen=True)
+class EncoderZero:
+    """The angle `moved` rad that the encoder shows too much, its standard uncertainty `u`, and the
+    `spread` N m of the torque on the output that follows from it."""
+
+    moved: float
+    u: float
+    spread: float
+
+
+def encoder_zero(
+    parts: Sequence[Passes],
+    model: ForceModel,
+    reach: tuple[float, float],
+    count: float,
+    hand: float | None = None,
+) -> EncoderZero | None:
+    """Return the zero that the passes of stretches show, in whole counts of `count` rad; None where
+    it is that of the learning, or too few passes are left alone by what touches.
+
+    Torques of the passes are those before another power-up's ripple was taken off; `reach` rad is
+    the learned range of angles. Torque that drives a pass with more than `hand` N m is a hand's.
+    """
+    direction = np.concatenate([part.direction for part in parts])
+    torque = np.vstack([part.torque for part in parts])
+    if hand is not None:
+        torque = np.where(direction[:, None] * torque >= -hand, torque, np.nan)
+    seen = np.isfinite(torque).sum(axis=1) >= FEWEST_CELLS
+    sides = [np.flatnonzero(seen & (direction == sign)) for sign in (1.0, -1.0)]
+    if min(map(len, sides)) < FEWEST_PASSES or model.deviations.stroke <= 0:
+        return None
+    spread = [np.linspace(0, len(one) - 1, min(len(one), MOST_PASSES)) for one in sides]
+    every = zip(sides, spread, strict=True)
+    chosen = np.sort(np.concatenate([one[at.round().astype(int)] for one, at in every]))
+    direction, torque = direction[chosen], torque[chosen]
+    search = _Search(model, reach, direction, torque)
+    step = 2 * FARTHEST * (reach[1] - reach[0]) / (PLACES - 1)
+    places = step * (np.arange(PLACES) - PLACES // 2)
+    logs = np.array([search.odds(place) for place in places])
+    unmoved = logs[PLACES // 2] + math.log(UNMOVED)
+    best = places[np.argmax(logs)]
+    far = np.abs(places - best) > 2.001 * step
+    near = best + step / PARTS * np.arange(-2 * PARTS, 2 * PARTS + 1)
+    fine = [search.odds(place) - math.log(PARTS) for place in near]
+    places, logs = np.concatenate([places[far], near]), np.concatenate([logs[far], fine])
+    logs += math.log((1 - UNMOVED) / PLACES)
+    odds = np.exp(logs - logs.max())
+    unmoved = 1 / (1 + odds.sum() * math.exp(np.clip(logs.max() - unmoved, -100, 100)))
+    odds /= odds.sum()
+    mean = float(odds @ places)
+    moved, u = count * round(mean / count), math.sqrt(odds @ (places - mean) ** 2)
+    if moved == 0 or unmoved > 1 - CERTAIN or u > LARGEST_U * (reach[1] - reach[0]):
+        return None
+    if not search.shows(search.likelihood(moved)[1]):
+        return None
+    torques = np.array([search.mean(place) for place in places])
+    off = float(np.sqrt(np.mean(odds @ (torques - search.mean(moved)) ** 2)))
+    return EncoderZero(moved, u, off)
+
+
+class _Search:
+    """Passes in cells, and the linear model that they have for one o; see the module."""
+
+    def __init__(
+        self, model: ForceModel, reach: tuple[float, float], direction: Array, torque: Array
+    ) -> None:
+        learned, (low, high) = model.learned, reach
+        self._known = learned.known
+        self._angle = low + (0.5 + np.arange(ANGLE_CELLS)) * (high - low) / ANGLE_CELLS
+        kinds = ((Kind.BEARING, Kind.HOUSING), (Kind.OFFSET, Kind.COGGING), (Kind.RIPPLE,))
+        own = [[n for n, t in enumerate(learned.terms) if t.kind in kind] for kind in kinds]
+        self._terms = [[learned.terms[n] for n in numbers] for numbers in own]
+        every, plain = [*own[0], *own[1], *own[2]], len(own[0]) + len(own[1])
+        size = len(SLIDING_PARAMETERS)
+        covariance = learned.covariance[size:, size:][np.ix_(every, every)]
+        coefficient = learned.coefficient[every]
+        drawn = coefficient[plain:] ** 2 + UNCERTAIN_SHARE * np.diag(covariance)[plain:]
+        orders = [term.order for term in self._terms[2]]
+        amplitude = [sum(drawn[np.equal(orders, order)]) / 2 for order in orders]
+        other = covariance.copy()
+        other[plain:, :] = other[:, plain:] = 0.0
+        other[plain:, plain:] = np.diag(amplitude)
+        unknown = np.concatenate([coefficient[:plain], np.zeros(len(orders))])
+        stroke = model.deviations.stroke
+        roots = [_root(one, KNOWN * stroke) for one in (covariance, other)]
+        self._hypotheses = list(zip((coefficient, unknown), roots, strict=True))
+        self._subtracted = self._waves(0.0) @ coefficient
+        self._pass, self._cell = np.nonzero(np.isfinite(torque))
+        self._direction = direction[self._pass]
+        self._torque = torque[self._pass, self._cell]
+        self._row = self._cell + ANGLE_CELLS * (self._direction < 0)
+        deviation = self._known.torque_factor * stroke
+        friction = sum(c for t, c in zip(self._terms[0], coefficient, strict=False) if not t.order)
+        self._noise = NOISE * deviation
+        self._touched = TOUCHED * self._known.torque_factor * float(friction)
+        output = self._angle[self._cell] / self._known.angle_ratio
+        self._strokes = np.zeros((len(self._torque), 2 * len(torque)))
+        rows = np.arange(len(self._torque))
+        self._strokes[rows, 2 * self._pass] = deviation * np.cos(output)
+        self._strokes[rows, 2 * self._pass + 1] = deviation * np.sin(output)
+
+    def _waves(self, moved: float) -> Array:
+        """Return the terms in the cells of both directions, (2 cells, t), N m on the output."""
+        rotor = self._angle - moved
+        angles = (rotor / self._known.angle_ratio, rotor, rotor)
+        friction, *by_angle = (
+            np.array([wave(term, angle) for term in terms]).reshape(-1, ANGLE_CELLS)
+            for terms, angle in zip(self._terms, angles, strict=True)
+        )
+        both = [np.vstack([sign * friction, *by_angle]).T for sign in (1.0, -1.0)]
+        return self._known.torque_factor * np.vstack(both)
+
+    def odds(self, moved: float) -> float:
+        """Return the logarithm of the probability of o, but for what is the same for all."""
+        angle = self._angle[np.unique(self._cell)] - moved
+        beyond = float(np.mean((angle < self._angle[0]) | (angle > self._angle[-1])))
+        if beyond > FARTHEST:
+            return -math.inf
+        return ROW_EVIDENCE * self.likelihood(moved)[0] - BEYOND * beyond
+
+    def mean(self, moved: float) -> Array:
+        """Return the torque that another zero makes of the learned friction, (cells,), N m."""
+        waves = self._waves(moved)[:ANGLE_CELLS, : len(self._terms[0])]
+        found: Array = waves @ self._hypotheses[0][0][: len(self._terms[0])]
+        return found
+
+    def likelihood(self, moved: float) -> tuple[float, Array]:
+        """Return the likelihood's logarithm, and the probability that nothing touches (n,), of the
+        hypothesis that is likelier."""
+        waves = self._waves(moved)
+        found = [
+            self._by_hypothesis((waves @ mean - self._subtracted)[self._row], waves @ root)
+            for mean, root in self._hypotheses
+        ]
+        return max(found, key=lambda one: one[0])
+
+    def _by_hypothesis(self, mean: Array, columns: Array) -> tuple[float, Array]:
+        left, s, w = self._torque - mean, self._noise, self._touched
+        design = np.hstack([columns[self._row], self._strokes])
+        prior = math.log(TOUCHED_PROBABILITY / (1 - TOUCHED_PROBABILITY))
+
+        def probability(error: Array, variance: Array | float) -> Array:
+            exponent = error**2 / 2 * (1 / variance - 1 / w**2) + np.log(variance / w**2) / 2
+            found: Array = 1 / (1 + np.exp(np.clip(prior + exponent, -30, 30)))
+            return found
+
+        found = probability(left, np.sum(design**2, axis=1) + s**2)
+        for number in range(ROUNDS):
+            weight = found / s**2 + (1 - found) / w**2
+            weighted = design * weight[:, None]
+            normal, right = design.T @ weighted + np.eye(design.shape[1]), weighted.T @ left
+            solution = np.linalg.solve(normal, right)
+            if number < ROUNDS - 1:
+                found = probability(left - design @ solution, s**2)
+        value = -(weight @ left**2 - right @ solution + np.linalg.slogdet(normal)[1]) / 2
+        value += found @ np.log((1 - TOUCHED_PROBABILITY) / (s * found))
+        value += (1 - found) @ np.log(TOUCHED_PROBABILITY / (w * (1 - found)))
+        return float(value), found
+
+    def shows(self, untouched: Array) -> bool:
+        """Return whether cells (n,) that nothing touches, by probability, are enough."""
+        parts, seen = [], []
+        for sign in (1.0, -1.0):
+            side = self._direction == sign
+            parts.append(float(untouched[side].mean()))
+            free = np.bincount(self._cell[side], untouched[side], minlength=ANGLE_CELLS)
+            seen.append(free > 1 / 2)
+        both = float((seen[0] & seen[1]).sum()) / np.unique(self._cell).size
+        return min(parts) >= UNTOUCHED_PART and both >= SEEN_CELLS
+
+
+def _root(covariance: Array, least: float) -> Array:
+    """Return a matrix S of which S S' is a covariance, but for deviations below the least one."""
+    values, vectors = np.linalg.eigh(covariance)
+    large = values > least**2
+    found: Array = vectors[:, large] * np.sqrt(values[large])
+    return found

@@ -1,0 +1,128 @@
+"""An encoder that was zeroed elsewhere is found by friction and ripple along the angle."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rigtool.experiments.force_model.deviations import Deviations
+from rigtool.experiments.force_model.force_model import ForceModel
+from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS, LearnedModel
+from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
+from rigtool.experiments.force_sensor.encoder_zero import encoder_zero
+from rigtool.experiments.force_sensor.unknown_friction import ANGLE_CELLS, Passes
+
+COUNT = 2 * math.pi / 4000
+REACH, RATIO, FACTOR, STROKE = (0.0, 2.67), 0.85, 1.18, 0.36e-3
+ANGLE = REACH[1] * (np.arange(ANGLE_CELLS) + 0.5) / ANGLE_CELLS
+RIPPLE = {(1, 0): 0.3e-3, (1, 1): -0.2e-3, (2, 0): 0.1e-3, (2, 1): 0.8e-3}
+OTHER_RIPPLE = {(1, 0): -0.1e-3, (1, 1): 0.4e-3, (2, 0): 0.7e-3, (2, 1): -0.3e-3}
+
+
+def friction(angle):
+    """Friction of the housing by angle of the motor, N m at the motor."""
+    output = angle / RATIO
+    return 2e-3 + 10e-3 + 1.2e-3 * np.cos(output) - 0.3e-3 * np.sin(3 * output)
+
+
+def ripple(angle, waves=RIPPLE):
+    return sum(
+        value * (np.sin if quarter else np.cos)(order * angle)
+        for (order, quarter), value in waves.items()
+    )
+
+
+def model():
+    terms = [Term(Kind.BEARING, 1.0), Term(Kind.HOUSING, 1.0), Term(Kind.HOUSING, 1.0, 1, 0)]
+    terms += [Term(Kind.HOUSING, 1.0, 3, 1), *(Term(Kind.RIPPLE, 1.0, *key) for key in RIPPLE)]
+    coefficient = np.array([2e-3, 10e-3, 1.2e-3, -0.3e-3, *RIPPLE.values()])
+    size, known = len(SLIDING_PARAMETERS) + len(terms), Known(RATIO, FACTOR, 2e-5)
+    shape = Shape(2e-3, 8e-3, 5e-3, 0.3, 0.03, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3)
+    covariance = (0.05e-3) ** 2 * np.eye(size)
+    learned = LearnedModel(tuple(terms), shape, known, coefficient, covariance, np.ones(2))
+    return ForceModel(learned, Deviations(STROKE, 0.01, 0.1e-3, 0.15))
+
+
+def passes(rng, counts, cycles=2, waves=RIPPLE, touch=None, by_friction=friction):
+    """Passes to and fro within the learned angles, by an encoder that shows `counts` too much."""
+    true, direction = ANGLE - counts * COUNT, np.tile([1.0, -1.0], cycles)
+    drawn = STROKE * rng.standard_normal((len(direction), 2))
+    stroke = drawn @ np.array([np.sin(true / RATIO), np.cos(true / RATIO)])
+    wrong = by_friction(true) - friction(ANGLE) + stroke
+    torque = direction[:, None] * wrong + ripple(true, waves) - ripple(ANGLE)
+    torque += 0.1e-3 * rng.standard_normal(torque.shape)
+    torque *= FACTOR
+    if touch is not None:
+        touch(torque)
+    torque[:, (true < REACH[0]) | (true > REACH[1])] = np.nan
+    return Passes(direction, torque, np.full_like(torque, 0.45e-3))
+
+
+def zero_of(*parts, hand=None):
+    return encoder_zero(parts, model(), REACH, COUNT, hand)
+
+
+@settings(max_examples=6)
+@given(
+    seed=st.integers(0, 2**31),
+    counts=st.integers(200, 700).flatmap(lambda n: st.sampled_from([n, -n])),
+    waves=st.sampled_from([RIPPLE, OTHER_RIPPLE]),
+)
+def test_another_zero_is_found_within_its_uncertainty(seed, counts, waves):
+    own = passes(np.random.default_rng(seed), counts, cycles=4, waves=waves)
+    found = zero_of(own)
+    assert found is not None
+    assert found.moved / COUNT == pytest.approx(counts, abs=6 * found.u / COUNT + 5)
+    assert found.u < 60 * COUNT
+    left = FACTOR * (friction(ANGLE - found.moved) - friction(ANGLE - counts * COUNT))
+    assert np.sqrt(np.mean(left**2)) < 6 * found.spread + 0.05e-3
+
+
+@settings(max_examples=4)
+@given(seed=st.integers(0, 2**31), waves=st.sampled_from([RIPPLE, OTHER_RIPPLE]))
+def test_the_zero_of_the_learning_is_left_alone(seed, waves):
+    assert zero_of(passes(np.random.default_rng(seed), 0, waves=waves)) is None
+
+
+def touches(cells, torque):
+    def touch(values):
+        values[::4, cells] += torque
+
+    return touch
+
+
+@pytest.mark.parametrize("torque", [-20e-3, 3e-3, 20e-3])
+@pytest.mark.parametrize("counts", [0, 300, -300])
+def test_what_touches_is_no_other_zero(torque, counts):
+    rng = np.random.default_rng(abs(counts))
+    found = zero_of(passes(rng, counts, cycles=4, touch=touches(slice(None), torque)))
+    assert (found is None) == (counts == 0)
+    if found is not None:
+        assert found.moved / COUNT == pytest.approx(counts, abs=100)
+
+
+def test_a_load_that_stays_hides_the_zero():
+    def pull(values):
+        values[::2] += np.linspace(2e-3, 20e-3, ANGLE_CELLS)
+
+    assert zero_of(passes(np.random.default_rng(1), 300, touch=pull)) is None
+
+
+def test_few_passes_show_nothing_and_stretches_count_together():
+    own = passes(np.random.default_rng(4), 400)
+    parts = [Passes(own.direction[s], own.torque[s], own.u[s]) for s in (slice(2), slice(2, 4))]
+    assert zero_of(parts[0]) is None
+    found = zero_of(*parts)
+    assert found is not None
+    assert found == zero_of(own)
+
+
+def test_a_hand_that_moves_the_rig_shows_no_zero():
+    def push(values):
+        values[::2] -= 16e-3
+        values[1::2] += 16e-3
+
+    own = passes(np.random.default_rng(2), 400, touch=push)
+    assert zero_of(own, hand=8e-3) is None
