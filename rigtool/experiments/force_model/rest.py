@@ -31,13 +31,13 @@ import numpy as np
 from rigtool.experiments.force_filter.estimate import Estimate, Filter, Signals
 from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_model.drive import MotorMap, drive_of, plant_of
-from rigtool.experiments.force_model.learning import (
+from rigtool.experiments.force_model.learning import LearnedModel
+from rigtool.experiments.force_model.model import Kind
+from rigtool.experiments.force_model.sliding_problem import (
     SLIDING_PARAMETERS,
-    LearnedModel,
     logarithms,
     stepped_shape,
 )
-from rigtool.experiments.force_model.model import Kind
 from rigtool.experiments.force_model.steps import FilterSteps, Sampler
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.lowpass import delayed

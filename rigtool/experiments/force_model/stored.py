@@ -11,8 +11,9 @@ from rigtool.experiments.force_filter.motion_states import KIND_COUNT
 from rigtool.experiments.force_model.contacts import MotionKind
 from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS, LearnedModel
+from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
+from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe

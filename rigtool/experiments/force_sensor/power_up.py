@@ -39,8 +39,8 @@ from rigtool.experiments.force_filter import passed
 from rigtool.experiments.force_filter.motion_states import SLIDING_DEFLECTION
 from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, TORQUE, Record
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS
 from rigtool.experiments.force_model.model import RIPPLE_ORDERS, Kind
+from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.experiments.force_sensor import shown_ripple
 from rigtool.experiments.force_sensor.shown_ripple import show
 from rigtool.numerics.arrays import Array

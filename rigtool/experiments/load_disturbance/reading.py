@@ -26,14 +26,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.force_model.learning import (
+from rigtool.experiments.force_model.learning import LearnedModel
+from rigtool.experiments.force_model.model import Prediction, RecordState, functions
+from rigtool.experiments.force_model.records import Record, lowpassed_rows
+from rigtool.experiments.force_model.sliding_problem import (
     ROWS_PER_INDEPENDENT_ROW,
-    LearnedModel,
     measured,
     slopes,
 )
-from rigtool.experiments.force_model.model import Prediction, RecordState, functions
-from rigtool.experiments.force_model.records import Record, lowpassed_rows
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.steady_mean import steady_mean, steady_us, weights
 from rigtool.quantity import STANDARD_GRAVITY, Quantity, combined, error_line

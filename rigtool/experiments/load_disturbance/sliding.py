@@ -16,14 +16,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rigtool.experiments.force_model.learning import (
-    DERIVATIVE_STEP,
-    SLIDING_PARAMETERS,
-    LearnedModel,
-    stepped_shape,
-)
+from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import RecordState, Shape, functions
 from rigtool.experiments.force_model.records import Record
+from rigtool.experiments.force_model.sliding_problem import (
+    DERIVATIVE_STEP,
+    SLIDING_PARAMETERS,
+    stepped_shape,
+)
 from rigtool.numerics.arrays import Array
 
 STEADY_PARAMETERS = ("stribeck_speed", "ripple_time", "stiffness", "load_onset")

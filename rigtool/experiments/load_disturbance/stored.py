@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigtool.errors import RunFileError
-from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS, LearnedModel
+from rigtool.experiments.force_model.learning import LearnedModel
+from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.experiments.force_model.stored import TERMS, model_from
 from rigtool.experiments.load_disturbance.sliding import DisturbanceGrid
 from rigtool.numerics.arrays import Array

@@ -23,8 +23,8 @@ from rigtool.experiments.force_filter.plant import (
     as_record,
 )
 from rigtool.experiments.force_model.drive import MotorMap
-from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS
 from rigtool.experiments.force_model.model import Kind, Term
+from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.experiments.force_sensor.sensor import Sensor, SensorProperties
 from rigtool.numerics.compiled import compiled as machine_code
 from tests.experiments.force_filter.plants import PLANT, UNCERTAINTY

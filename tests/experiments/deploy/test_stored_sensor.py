@@ -11,8 +11,9 @@ from rigtool.errors import RunFileError, UsageError
 from rigtool.experiments.deploy.stored_export import SENSOR_FORMAT, chosen_format, export_table
 from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS, LearnedModel
+from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
+from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.experiments.force_model.stored import model_from, model_results, model_tables
 from rigtool.experiments.force_sensor.procedure_over_time import reach_of
 from rigtool.experiments.force_sensor.procedure_reading import instrument_of

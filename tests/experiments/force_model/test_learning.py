@@ -18,15 +18,15 @@ from rigtool.experiments.force_model.deviations import (
     scatter_ratios,
 )
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.learning import (
-    SLIDING_PARAMETERS,
-    Problem,
-    learn_sliding,
-    stepped_shape,
-)
+from rigtool.experiments.force_model.learning import learn_sliding
 from rigtool.experiments.force_model.model import Kind, Known
 from rigtool.experiments.force_model.procedure_learning import LearnedForce, untouched_motions
 from rigtool.experiments.force_model.records import ROWS_HZ
+from rigtool.experiments.force_model.sliding_problem import (
+    SLIDING_PARAMETERS,
+    Problem,
+    stepped_shape,
+)
 from rigtool.experiments.learning.implementations.d_tendon import swing_notes, tendon_results
 from rigtool.recipe import load_recipe
 from tests.experiments.force_model import known_plant as plant

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigtool.experiments.force_model.drive import tabulated
-from rigtool.experiments.force_model.learning import _strokes
 from rigtool.experiments.force_model.model import Kind, Known, Sizes, Term, terms_for
+from rigtool.experiments.force_model.sliding_problem import _strokes
 from tests.experiments.force_model import known_plant
 
 KNOWN = Known(3.4, 3.2, 3e-6)

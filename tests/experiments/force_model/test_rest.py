@@ -15,7 +15,7 @@ from rigtool.experiments.force_filter.plant import (
     as_record,
 )
 from rigtool.experiments.force_model.drive import plant_of
-from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS, LearnedModel
+from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
 from rigtool.experiments.force_model.rest import (
     BY_REST,
@@ -26,6 +26,7 @@ from rigtool.experiments.force_model.rest import (
     learn_rest,
     learn_turns,
 )
+from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.numerics.compiled import compiled
 from tests.experiments.force_filter.plants import UNCERTAINTY
 

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS, LearnedModel
+from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
+from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.experiments.force_sensor.encoder_zero import encoder_zero
 from rigtool.experiments.force_sensor.unknown_friction import ANGLE_CELLS, Passes
 

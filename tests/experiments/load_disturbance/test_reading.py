@@ -7,8 +7,9 @@ import pytest
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_model.deviations import Deviations
-from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS, LearnedModel, learn_sliding
+from rigtool.experiments.force_model.learning import LearnedModel, learn_sliding
 from rigtool.experiments.force_model.model import Kind, Shape, Term
+from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.experiments.load_disturbance.reading import (
     LoadedPair,
     dead_band,

@@ -10,9 +10,10 @@ import numpy as np
 
 from rigtool.experiments.force_model import stored
 from rigtool.experiments.force_model.deviations import MAX_SCATTER_RATIO, scatter_hz
-from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS, SlidingFit
+from rigtool.experiments.force_model.learning import SlidingFit
 from rigtool.experiments.force_model.procedure_learning import LearnedForce
 from rigtool.experiments.force_model.records import Record
+from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.experiments.load_disturbance.reading import LoadedPair
 from rigtool.experiments.load_disturbance.results_known_loads import ANGLE_RATIO, LOAD_ARM, WEIGHTS
 from rigtool.numerics.arrays import Array
