@@ -47,9 +47,9 @@ from rigtool.experiments.force_filter.motion_states import CREEPING_KIND, STATE_
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.stored import model_from
 from rigtool.experiments.force_sensor.procedure_over_time import reach_of
-from rigtool.experiments.force_sensor.procedure_reading import Stretch
 from rigtool.experiments.force_sensor.results_over_time import TorqueRows
 from rigtool.experiments.force_sensor.sensor import SensorProperties
+from rigtool.experiments.force_sensor.stretch import Stretch
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command

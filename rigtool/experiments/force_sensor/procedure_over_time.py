@@ -28,9 +28,9 @@ from rigtool.experiments.force_sensor.procedure_reading import (
     REFERENCE_CHANNEL,
     read_recording,
     require_interval,
-    shortest_stretch,
 )
 from rigtool.experiments.force_sensor.results_over_time import Recorded, force_outcome
+from rigtool.experiments.force_sensor.stretch import shortest_stretch
 from rigtool.experiments.force_sensor.unknown_friction import (
     DOUBTED,
     FEWEST_PASSES,

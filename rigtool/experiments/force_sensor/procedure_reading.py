@@ -1,51 +1,31 @@
-"""From a recording to the torque on the output at each step, smoothed and causal, block by block.
-
-Memory holds what was read, a few numbers a step, and no samples.
-"""
+"""From a recording to the torque on the output, smoothed and causal, by stretches without gaps."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from dataclasses import replace
-from typing import Any
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_filter.estimate import (
     PIECE_STEPS,
-    Filter,
-    Smoother,
-    without_delay,
 )
-from rigtool.experiments.force_filter.highest import highest
 from rigtool.experiments.force_filter.motion_states import (
-    LARGEST_LEARNED_RATIO,
-    Moments,
     Reach,
-    State,
 )
-from rigtool.experiments.force_model.contacts import Contact, contacts, trial
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.intervals import uncertainty_of_kinds
 from rigtool.experiments.force_model.steps import unbroken
-from rigtool.experiments.force_sensor.response import Spectra
 from rigtool.experiments.force_sensor.results_over_time import (
     Recorded,
     TorqueRows,
-    steps_of_a_row,
 )
-from rigtool.experiments.force_sensor.sensor import Sensed, Sensor, SensorProperties
-from rigtool.experiments.force_sensor.signal_faults import SignalWatch
-from rigtool.experiments.force_sensor.unknown_friction import Passes
+from rigtool.experiments.force_sensor.sensor import SensorProperties
+from rigtool.experiments.force_sensor.stretch import Stretch, shortest_stretch
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
-from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, rising_steps
-from rigtool.numerics.lowpass import delayed, lowpass
-from rigtool.numerics.memory import give_back
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run
 
@@ -53,9 +33,6 @@ NEEDED_CHANNELS = ("time", "encoder", "current_setpoint", "temperature")
 """Channels that the torque is read from; `current_setpoint` is all of the motor's current."""
 
 REFERENCE_CHANNEL = "reference_torque"
-
-SHORTEST_STRETCH = 2.0
-"""Stretch without gaps that is analysed, s: the filter has to settle."""
 
 LONGEST_INTERVAL = 0.01
 """Time between samples, s: what is longer hides how friction changes in a reversal."""
@@ -69,12 +46,6 @@ BLOCK = 65536
 
 AS_ASKED = 1e-6
 """Relative difference within which the interval between samples is that of the recipe."""
-
-
-def shortest_stretch(corner_hz: float) -> float:
-    """Return the shortest stretch without gaps that is analysed, s: the filter settles, and its
-    low-pass does."""
-    return max(SHORTEST_STRETCH, 2.01 / corner_hz)
 
 
 def require_interval(seconds: float, source: str) -> None:
@@ -204,260 +175,3 @@ def unbroken_blocks(
                 yield samples[:, part : min(part + piece, rows.stop)], begins
                 begins = False
         before = time[-1:] if good[-1] else np.zeros(0)
-
-
-class Stretch:
-    """Samples without a gap: causal at once, smoothed as soon as enough has followed.
-
-    `workers` smooth, and run the filter that contacts are found with, while the next samples are
-    read. `seconds` have a torque once the stretch is over, which has `size` samples at most. Of
-    what only the table's rows show, only rows are kept: an hour has 3.6 million steps.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        instrument: SensorProperties,
-        began: float,
-        size: int,
-        workers: Executor,
-        *,
-        commanded: bool = False,
-    ) -> None:
-        step_time = instrument.grid.step_time
-        self._name, self._instrument, self._workers = name, instrument, workers
-        self._began = began - instrument.interval / 2
-        self._every = steps_of_a_row(step_time, instrument.corner_hz)
-        self._sensor = Sensor(instrument)
-        self._watch = SignalWatch(instrument, commanded=commanded)
-        self._again = instrument.again()
-        self._smoother = Smoother(instrument.model.uncertainty, step_time)
-        self._untouched: Filter | None = None
-        if np.isfinite(instrument.model.limits).any():
-            self._untouched = instrument.filter(instrument.model.untouched)
-        self._later: list[Future[None]] = []
-        self._judge = instrument.judge(causal=False)
-        self._waiting: list[Moments] = []  # of which some, in front, give states alone
-        self._in_front = 0
-        self._room = math.ceil(size * instrument.interval / step_time) + 1
-        self._found: dict[str, NDArray[Any]] = {}
-        self._filled: dict[str, int] = dict.fromkeys(ESTIMATED_TYPES, 0)
-        self._steps = self._limited = 0
-        self.seconds = 0.0
-
-    def add(self, samples: Array, *, last: bool = False) -> None:
-        """Read samples (c, n): encoder, current, temperature, and the reference where it is."""
-        sensed = self._sensor.add(samples, last=last)
-        self._watch.add(samples)
-        self._limited += int(self._instrument.limited(samples[1]).sum())
-        self._settle()
-        estimate = sensed.estimate
-        rows = slice(-self._steps % self._every, None, self._every)
-        self._steps += len(sensed.states)
-        angle = estimate.low + self._instrument.count / 2
-        self._keep("angle", np.remainder(angle, 2 * math.pi))
-        self._keep("passed", angle[rows])
-        self._keep("less", sensed.less)
-        self._keep("causal", sensed.torque[rows])
-        self._keep("causal_u", sensed.u[rows])
-        self._keep("causal_states", sensed.states[rows])
-        for reference in sensed.others:
-            self._keep("reference", reference)
-        self._waiting.append(sensed.moments)
-        self._later = [self._workers.submit(self._smooth, sensed, last)]
-        if self._untouched is not None:
-            self._later.append(self._workers.submit(self._test, self._untouched, sensed))
-
-    def _keep(self, name: str, values: NDArray[Any]) -> None:
-        """Keep values behind those that were kept, in memory of the whole stretch's size that is
-        used as it fills: pieces would lie between what is freed meanwhile."""
-        if name not in self._found:
-            self._found[name] = np.empty(self._room, dtype=ESTIMATED_TYPES[name])
-        first = self._filled[name]
-        self._filled[name] = first + len(values)
-        self._found[name][first : first + len(values)] = values
-
-    def _settle(self) -> None:
-        """Wait for what is done beside: it uses what the next samples change."""
-        for task in self._later:
-            task.result()
-
-    def _test(self, untouched: Filter, sensed: Sensed) -> None:
-        """Keep what the tests for contacts look at."""
-        other = untouched.add(sensed.signals, less=sensed.less)
-        self._keep("causal_kinds", sensed.kinds)
-        self._keep("doubt", sensed.doubt)
-        self._keep("untouched", other.torque)
-        self._keep("untouched_u", other.deviation)
-
-    def _smooth(self, sensed: Sensed, last: bool) -> None:
-        """Smooth the steps that wait the longest."""
-        kept = self._again.add(sensed.signals, sensed.estimate, less=sensed.less, last=last)
-        self._judged(*self._smoother.add(kept))
-        if last:
-            self._judged(*self._smoother.finish())
-
-    def _judged(self, torque: Array, deviation: Array) -> None:
-        """Keep smoothed steps, and give them their states."""
-        if not len(torque):
-            return
-        judge, first, waiting = self._judge, self._in_front, Moments.joined(*self._waiting)
-        end = first + len(torque)
-        part = waiting.part(0, end + judge.span)
-        own = part.torque.copy()
-        own[first:end] = torque
-        states = judge.states(replace(part, torque=own))
-        self._keep("torque", torque)
-        self._keep("u", deviation)
-        self._keep("states", states[first:end])
-        self._keep("kinds", judge.kinds(states, part)[first:end])
-        self._keep("idle", part.idle[first:end])
-        self._in_front = min(end, judge.span)
-        self._waiting = [waiting.part(end - self._in_front)]
-
-    def reading(self) -> list[TorqueRows]:
-        """Return the rows of what was read, once the stretch is over; nothing where it is too
-        short."""
-        referred = "reference" in self._found
-        self.add(np.empty((4 if referred else 3, 0)), last=True)
-        self._settle()
-        give_back()
-        step_time, every = self._instrument.grid.step_time, self._every
-        if (self._steps + 2) * step_time < shortest_stretch(self._instrument.corner_hz):
-            return []
-        self.seconds = self._steps * step_time
-        contacts = self._contacts()
-        give_back()
-        time: Any = self._began + step_time * np.arange(1.0, self._steps + 1, every)
-        torque, u, ripple = self._whole()
-        give_back()
-        rate, corner_hz = 1 / step_time, self._instrument.corner_hz
-        reference, judged = None, np.empty(0, dtype=np.bool_)
-        if referred and np.isfinite(found := self._taken("reference")).any():
-            reference, judged = filled(found, round(rate / corner_hz))
-        torque, states = held_lowpass(rate, torque, corner_hz), self._taken("states")
-        states[np.abs(torque) > LARGEST_LEARNED_RATIO * self._instrument.reach.torque] = (
-            State.OUTSIDE
-        )
-        faults = self._watch.faults()
-        rows, causal_states = slice(None, None, every), self._taken("causal_states")
-        for fault in faults:
-            since = step_time * np.arange(1.0, self._steps + 1)
-            states[fault.within(since, causal=False)] = State.OUTSIDE
-            causal_states[fault.within(since[rows], causal=True)] = State.OUTSIDE
-        inside = states != State.OUTSIDE
-        sliding = np.isin(states[rows], (State.AGAINST, State.WITH))
-        at = step_time * every, self._taken("passed"), sliding, self._instrument.reach.angle
-        return [
-            TorqueRows(
-                self._name,
-                step_time * every,
-                time,
-                torque[rows].copy(),
-                u,
-                states[rows].astype(np.int32),
-                self._taken("causal"),
-                self._taken("causal_u"),
-                causal_states.astype(np.int32),
-                None
-                if reference is None
-                else np.where(judged, held_lowpass(rate, reference, corner_hz), np.nan)[rows],
-                self._limited,
-                None
-                if reference is None
-                else np.where(judged, delayed(rate, reference, corner_hz), np.nan)[rows],
-                contacts,
-                every,
-                response=None
-                if reference is None
-                else Spectra.of(torque, reference, inside & judged, rate),
-                faults=faults,
-                passes=tuple(Passes.of(*at, t, u) for t in (torque[rows], torque[rows] + ripple)),
-            )
-        ]
-
-    def _taken(self, name: str) -> Any:
-        """Return what was kept as one, and keep it no longer."""
-        return self._found.pop(name)[: self._filled[name]]
-
-    def _contacts(self) -> tuple[Contact, ...]:
-        """Return the contacts, in steps."""
-        if self._untouched is None:
-            return ()
-        torque, deviation = self._taken("untouched"), self._taken("untouched_u")
-        kinds, doubt = self._taken("causal_kinds"), self._taken("doubt")
-        tested = trial(torque, deviation, kinds, self._instrument.grid.step_time, doubt)
-        return tuple(contacts(tested, self._instrument.model.limits))
-
-    def _whole(self) -> tuple[Array, Array, Array]:
-        """Return the torque (m,) less what this power-up's ripple adds; u and that ripple of its
-        rows. All N m."""
-        instrument, every = self._instrument, self._every
-        torque, angle, less = (self._taken(name) for name in ("torque", "angle", "less"))
-        factor = instrument.model.plant(instrument.grid.sample_time).torque_factor
-        again, added, variances = self._sensor.power_up.again(), [], []
-        for first in range(0, len(torque), PIECE_STEPS):
-            part = slice(first, first + PIECE_STEPS)
-            ripple, variance, _ = again(angle[part].astype(np.float64), torque[part])
-            torque[part] -= ripple - factor * less[part]
-            added.append(ripple[-first % every :: every])
-            variances.append(variance[-first % every :: every])
-        corner_hz, step_time = instrument.corner_hz, instrument.grid.step_time
-        deviation = without_delay(self._taken("u"), corner_hz, step_time)
-        ahead = weight_ahead(1 / step_time, len(deviation), corner_hz)
-        ahead *= self._sensor.last_deviation
-        deviation[-len(ahead) :] = np.hypot(deviation[-len(ahead) :], ahead)
-        kinds, variance = self._taken("kinds")[::every], np.concatenate(variances)
-        least = instrument.open_variances[kinds] * self._taken("idle")[::every]
-        deviation = deviation[::every].astype(float)
-        scales = instrument.model.scales[0]
-        u = uncertainty_of_kinds(scales, deviation, torque[::every], kinds, variance, least)
-        return torque, u, np.concatenate(added)
-
-
-def filled(reference: Array, reach: int) -> tuple[Array, Mask]:
-    """Return a reference (n,) with what is NaN in it interpolated, and where it is known for all of
-    `reach` steps on both sides, which is what a low-pass takes in (n,)."""
-    known = np.isfinite(reference)
-    if known.all():
-        return reference, known
-    place = np.arange(len(reference))
-    whole: Array = np.interp(place, place[known], reference[known])
-    return whole, ~highest(~known, reach, reach)
-
-
-def held_lowpass(rate: float, values: Array, corner_hz: float) -> Array:
-    """Filter a torque (n,) of a rate, Hz, without phase shift, as if it stayed at its ends' values:
-    that is what a random walk is expected to do."""
-    length = round(rate / corner_hz)
-    found: Array = lowpass(rate, np.pad(values, length, mode="edge"), corner_hz)
-    return found[length:-length]
-
-
-def weight_ahead(rate: float, size: int, corner_hz: float) -> Array:
-    """Return how much of `held_lowpass` of `size` values is the last one held, at the last (n,)."""
-    length = min(size, round(rate / corner_hz))
-    return held_lowpass(rate, np.repeat([0.0, 1.0], 4 * length), corner_hz)[3 * length : 4 * length]
-
-
-ESTIMATED_TYPES = {
-    "torque": np.float64,
-    "u": np.float32,
-    "states": np.int8,
-    "kinds": np.int8,
-    "idle": np.bool_,
-    "causal": np.float64,
-    "causal_u": np.float64,
-    "causal_states": np.int8,
-    "causal_kinds": np.int8,
-    "reference": np.float64,
-    "angle": np.float32,
-    "passed": np.float64,
-    "less": np.float32,
-    "untouched": np.float32,
-    "untouched_u": np.float32,
-    "doubt": np.float32,
-}
-"""At each step, but for the causal torque, its u and state and the angle that was passed, which are
-kept at the table's rows. What is in single precision is known to 1e-7 of itself, the angle, of
-which only the place in a turn is kept, to 1e-6 rad: both move u by less than 1e-6 of it."""

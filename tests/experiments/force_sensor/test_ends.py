@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from rigtool.experiments.force_filter.motion_states import State
-from rigtool.experiments.force_sensor.procedure_reading import held_lowpass, weight_ahead
 from rigtool.experiments.force_sensor.results_over_time import TorqueRows, over_time_tables
+from rigtool.experiments.force_sensor.stretch import held_lowpass, weight_ahead
 
 RATE, CORNER_HZ = 1000.0, 30.0
 
