@@ -204,7 +204,8 @@ def _perform(words: list[str], stem: str) -> None:
     for name, number in STREAMS.items():
         before = getattr(sys, name)
         path = Path(f"{stem}.{name}")
-        stream = path.open("w", encoding=before.encoding, errors=before.errors)
+        # By lines: a signal that comes once more, on the way out, ends a process where it is.
+        stream = path.open("w", buffering=1, encoding=before.encoding, errors=before.errors)
         os.dup2(stream.fileno(), number)  # what libraries in C print, too
         setattr(sys, name, stream)
     sys.argv = ["rigtool", *words]  # a run file states it

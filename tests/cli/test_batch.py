@@ -125,6 +125,12 @@ def test_lines_have_no_input_and_end_in_any_order():
     assert found.stdout == "0.2 ''\n0 ''\n0.1 ''\n", found.stderr
 
 
+def test_what_a_line_printed_before_it_was_killed_is_not_lost():
+    body = "print(name); os.kill(os.getpid(), 9) if name == 'b' else None"
+    found = process(code=own(body, jobs=2), input="do a\ndo b\n")
+    assert (found.returncode, found.stdout) == (137, "a\nb\n"), found.stderr
+
+
 @pytest.mark.parametrize("group", [False, True], ids=["batch", "terminal"])
 @pytest.mark.parametrize(
     ("number", "code", "word"),
