@@ -46,13 +46,14 @@ TOUCHED_PROBABILITY, ROUNDS = 0.3, 4
 """Probability that something touches, before anything is seen; rounds of the search for what is
 touched."""
 
-ROW_EVIDENCE, UNMOVED, BEYOND = 0.5, 0.5, 30.0
+ROW_EVIDENCE, UNMOVED, BEYOND = 0.5, 0.999, 30.0
 """Part of the likelihood's logarithm that counts, as errors of cells that follow one another are
-alike; the probability that the zero is that of the learning, before anything is seen; and the rate
-at which it falls with the part of the cells that were then not learned: rigs move where they were
-learned, and friction elsewhere may be anything."""
+alike; the probability that the zero is that of the learning, before anything is seen: a good
+recording is ruined by a zero that is not off; and the rate at which the other's falls with the part
+of the cells that were then not learned: rigs move where they were learned, and friction elsewhere
+may be anything."""
 
-CERTAIN, LARGEST_U, UNTOUCHED_PART, SEEN_CELLS = 0.95, 0.05, 0.45, 0.8
+CERTAIN, LARGEST_U, UNTOUCHED_PART, SEEN_CELLS = 0.999, 0.05, 0.45, 0.8
 """Probability of another zero from which on it is taken, and its largest u, in the learned range;
 parts of the passes of each direction that nothing touches, and of the cells that are so in both:
 with less, a load that stays looks like it."""
