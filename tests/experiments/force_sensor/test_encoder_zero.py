@@ -127,3 +127,28 @@ def test_a_hand_that_moves_the_rig_shows_no_zero():
 
     own = passes(np.random.default_rng(2), 400, touch=push)
     assert zero_of(own, hand=8e-3) is None
+
+
+@pytest.mark.parametrize(("log_odds", "found"), [(9.0, False), (18.0, True)])
+def test_another_zero_is_taken_at_long_odds_only(monkeypatch, log_odds, found):
+    """A good recording whose passes are likelier by 9 in the logarithm elsewhere is no surprise."""
+    place = 300 * COUNT
+
+    class Passed:
+        def __init__(self, *given):
+            pass
+
+        def odds(self, moved):
+            return log_odds * math.exp(-(((moved - place) / 0.06) ** 2) / 2)
+
+        def likelihood(self, moved):
+            return 0.0, np.ones(4)
+
+        def shows(self, untouched):
+            return True
+
+        def mean(self, moved):
+            return np.zeros(4)
+
+    monkeypatch.setattr("rigtool.experiments.force_sensor.encoder_zero._Search", Passed)
+    assert (zero_of(passes(np.random.default_rng(0), 0)) is not None) == found
