@@ -14,6 +14,7 @@ from rigtool.experiments.friction.imported_motion import add_dynamics, add_inert
 from rigtool.experiments.friction.imported_pairs import add_changes
 from rigtool.experiments.friction.inverse_dynamics import identify_dynamics
 from rigtool.experiments.friction.motion_terms import SmoothedMotion, band_limit
+from rigtool.experiments.friction.offset import half_difference
 from rigtool.experiments.friction.procedure_analysis import fit_holds, separate
 from rigtool.experiments.friction.results import (
     Findings,
@@ -23,7 +24,6 @@ from rigtool.experiments.friction.results import (
     holds_table,
 )
 from rigtool.experiments.friction.results_difference import add_curve_difference, require_different
-from rigtool.experiments.friction.stribeck_fit import half_difference
 from rigtool.experiments.imported import (
     is_linear,
     place,

@@ -9,8 +9,9 @@ import numpy as np
 
 from rigtool.experiments.friction.inverse_dynamics import Dynamics, identify_dynamics
 from rigtool.experiments.friction.motion_terms import SmoothedMotion
+from rigtool.experiments.friction.offset import undivided
 from rigtool.experiments.friction.results import SAME_COULOMB, Findings
-from rigtool.experiments.friction.stribeck_fit import DIRECTION_NAMES, undivided
+from rigtool.experiments.friction.stribeck_fit import DIRECTION_NAMES
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table

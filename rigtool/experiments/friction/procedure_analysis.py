@@ -29,6 +29,7 @@ from rigtool.experiments.friction.low_current import (
     require_calibrated_gain,
     require_linear_at_low_current,
 )
+from rigtool.experiments.friction.offset import Offset, separate_offset
 from rigtool.experiments.friction.results import (
     Findings,
     Scale,
@@ -45,13 +46,7 @@ from rigtool.experiments.friction.results import (
     torque_speed_table,
 )
 from rigtool.experiments.friction.results_difference import add_curve_difference, require_different
-from rigtool.experiments.friction.stribeck_fit import (
-    DirectionFit,
-    Offset,
-    fit_directions,
-    mean_by_speed,
-    separate_offset,
-)
+from rigtool.experiments.friction.stribeck_fit import DirectionFit, fit_directions, mean_by_speed
 from rigtool.experiments.friction.sweep import TorqueSpeed, torque_speed_curve
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.torque_per_ampere import mean_constant, torque_per_ampere

@@ -13,12 +13,12 @@ from rigtool.experiments.friction.low_current import (
     require_calibrated_gain,
     require_linear_at_low_current,
 )
+from rigtool.experiments.friction.offset import separate_offset
 from rigtool.experiments.friction.results import Findings, Scale, add_friction
 from rigtool.experiments.friction.stribeck_fit import (
     fit_direction,
     fit_directions,
     require_explained,
-    separate_offset,
 )
 from rigtool.experiments.friction.sweep import torque_speed_curve
 from rigtool.quantity import Quantity
