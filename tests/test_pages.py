@@ -24,6 +24,7 @@ import rigtool
 from rigtool.cli import main
 from rigtool.cli.batch import read_lines
 from rigtool.report.figures import style
+from tests.attack.bench import MEASURING
 from tests.experiments.learned_loads import LINE, RIG, learned_loads
 from tests.fixtures.make import SHORT
 
@@ -31,14 +32,14 @@ ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"^```sh\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 SHORTER = {
-    "calibrate-kt": SHORT["kt"],
-    "stribeck": SHORT["friction"],
+    "calibrate-kt": MEASURING["calibrate-kt"],
+    "stribeck": MEASURING["stribeck"],
     "fft-ripple": SHORT["ripple"],
     "identify-plant": SHORT["plant"][1:],
-    "ilc-learn": SHORT["tables"],
+    "ilc-learn": MEASURING["ilc-learn"],
     "ilc-learn --implementation A": SHORT["turning"][:-1],
     "ilc-learn --implementation B": SHORT["turning"][:-1],
-    "measure-force": SHORT["force"],
+    "measure-force": MEASURING["measure-force"],
     "measure-force --correction full": (*SHORT["force"], *RIG),
     "measure-force --record": RIG,
 }

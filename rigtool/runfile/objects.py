@@ -1,7 +1,8 @@
 """The kinds of objects in a run file.
 
-All is written through h5py's low-level interface: its other one takes twice as long. Text has a fixed length and is stored in headers, which HDF5 protects by a checksum. Text of
-variable length would be in a heap without one: HDF5 follows a damaged heap without end.
+All is written through h5py's low-level interface: its other one takes twice as long. Text has a
+fixed length and is stored in headers, which HDF5 protects by a checksum. Text of variable length
+would be in a heap without one: HDF5 follows a damaged heap without end.
 """
 
 from __future__ import annotations
