@@ -1,5 +1,7 @@
 """The rooms of the package, by place and name alone: what several tests of the house ask."""
 
+import ast
+from functools import cache
 from pathlib import Path
 
 TESTS = Path(__file__).parent
@@ -16,6 +18,12 @@ WITHOUT_NUMERICS = ("experiments/learning/implementations", "experiments/running
 def place(path):
     """Return where a path stands in the package, as text."""
     return path.relative_to(PACKAGE).as_posix()
+
+
+@cache
+def parsed(path):
+    """Return the syntax of a file."""
+    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def is_pure(path):

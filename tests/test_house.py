@@ -7,7 +7,7 @@ from functools import cache
 
 import pytest
 
-from tests.house import MODULES, NUMERICS, PACKAGE, TESTS, place
+from tests.house import MODULES, NUMERICS, PACKAGE, TESTS, parsed, place
 
 FLOORS = (
     "cli",
@@ -41,7 +41,7 @@ FOLDERS = sorted({path.parent for path in MODULES})
 def imported(path):
     """Return the modules and names that a file imports, wherever in it."""
     names = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):

@@ -24,6 +24,7 @@ import rigtool
 from rigtool.cli import main
 from rigtool.cli.batch import read_lines
 from rigtool.report.figures import style
+from tests.attack.bench import MEASURING
 from tests.experiments.learned_loads import LINE, RIG, learned_loads
 from tests.fixtures.make import SHORT
 
@@ -31,14 +32,14 @@ ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"^```sh\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 SHORTER = {
-    "calibrate-kt": SHORT["kt"],
-    "stribeck": SHORT["friction"],
+    "calibrate-kt": MEASURING["calibrate-kt"],
+    "stribeck": MEASURING["stribeck"],
     "fft-ripple": SHORT["ripple"],
     "identify-plant": SHORT["plant"][1:],
-    "ilc-learn": SHORT["tables"],
+    "ilc-learn": MEASURING["ilc-learn"],
     "ilc-learn --implementation A": SHORT["turning"][:-1],
     "ilc-learn --implementation B": SHORT["turning"][:-1],
-    "measure-force": SHORT["force"],
+    "measure-force": MEASURING["measure-force"],
     "measure-force --correction full": (*SHORT["force"], *RIG),
     "measure-force --record": RIG,
 }
@@ -81,12 +82,12 @@ def calls(lines, folder):
     return [json.loads(line) for line in log.read_text().splitlines()]
 
 
-def run(arguments, capsys):
-    """Call rigtool as the line does; return exit code and output."""
+def run(arguments, capsys, shorter=SHORTER):
+    """Call rigtool as the line does; return its output."""
     name, *words = [found for word in arguments for found in (sorted(glob(word)) or [word])]
     measures = any(word.endswith(".toml") for word in words[:1])
-    chosen = [key for key in SHORTER if set(key.split()) <= set(arguments)] if measures else []
-    settings = SHORTER[max(chosen, key=len)] if chosen else ()
+    chosen = [key for key in shorter if set(key.split()) <= set(arguments)] if measures else []
+    settings = shorter[max(chosen, key=len)] if chosen else ()
     if "--record" in words:
         words[words.index("--record") + 1] = "3"
     before = signal.getsignal(signal.SIGTERM)
@@ -100,9 +101,9 @@ def run(arguments, capsys):
     return found
 
 
-def run_all(lines, folder, capsys):
+def run_all(lines, folder, capsys, shorter=SHORTER):
     """Run every line; return the output by what was typed after `rigtool`."""
-    return {" ".join(one): run(one, capsys) for one in calls(lines, folder)}
+    return {" ".join(one): run(one, capsys, shorter) for one in calls(lines, folder)}
 
 
 @pytest.fixture
@@ -267,8 +268,8 @@ def test_the_start_page_installs(tmp_path):
 
 
 @pytest.mark.real_time
-def test_the_session_without_hardware_runs(folder):
-    """The emulator in one shell, the lines in another; consent is typed at a terminal."""
+def test_the_session_without_hardware_runs(folder, capsys, monkeypatch):
+    """The emulator is a process of its own; consent is typed at a terminal."""
     emulator, lines = section("docs/bench.md", "A first session without hardware")
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -280,30 +281,23 @@ def test_the_session_without_hardware_runs(folder):
         "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
     }
     master, terminal = os.openpty()
-    server = subprocess.Popen(
-        ["bash", "-euc", f"exec {emulator.replace('7077', port)}"],
-        cwd=folder,
-        env=environment,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert server.stdout.readline() == f"socket://127.0.0.1:{port}\n"
-        os.write(master, b"y\n")
-        done = subprocess.run(
-            ["bash", "-euc", lines.replace("7077", port)],
+    with os.fdopen(terminal) as keyboard:
+        monkeypatch.setattr(sys, "stdin", keyboard)
+        server = subprocess.Popen(
+            ["bash", "-euc", f"exec {emulator.replace('7077', port)}"],
             cwd=folder,
             env=environment,
-            stdin=terminal,
-            capture_output=True,
+            stdout=subprocess.PIPE,
             text=True,
         )
-    finally:
-        server.terminate()
-        server.wait()
-        server.stdout.close()
-        os.close(master)
-        os.close(terminal)
-    assert done.returncode == 0, done.stderr
-    assert "target: rigtool target emulator" in done.stdout
-    assert done.stderr.endswith("no difference\n")
+        try:
+            assert server.stdout.readline() == f"socket://127.0.0.1:{port}\n"
+            os.write(master, b"y\n")
+            printed = run_all(lines.replace("7077", port), folder, capsys, {})
+        finally:
+            server.terminate()
+            server.wait()
+            server.stdout.close()
+            os.close(master)
+    assert "target: rigtool target emulator" in printed[f"devices socket://127.0.0.1:{port}"].out
+    assert printed["diff kt.h5 direct.h5"].err == "no difference\n"

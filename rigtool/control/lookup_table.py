@@ -11,6 +11,7 @@ scipy's RegularGridInterpolator takes two to three times as long, and rounds dif
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -64,8 +65,8 @@ class LookupTable:
         if period:
             position = start + (position - start) % period
         # Both coordinates count entries of the table; a cell is named by its lower left entry.
-        across = np.clip((position - start) / step, 0.0, count - 1.0)
-        along = np.interp(speed, self._speeds, np.arange(float(self._speeds.size)))
+        across = np.minimum(np.maximum((position - start) / step, 0.0), count - 1.0)
+        along = np.interp(speed, self._speeds, self._numbers)
         column = np.minimum(across.astype(np.int64), count - 2)
         row = np.minimum(along.astype(np.int64), self._speeds.size - 2)
         torque: Array = blend(
@@ -73,7 +74,11 @@ class LookupTable:
         )
         return torque
 
-    @property
+    @cached_property
+    def _numbers(self) -> Array:
+        return np.arange(float(self._speeds.size))
+
+    @cached_property
     def grid(self) -> tuple[Array, Array, Array]:
         """Return torque (m, n) N m over speeds (m,) rad/s and positions; start and step of these,
         rad, and the period, 0 without one."""

@@ -16,7 +16,7 @@ import numpy as np
 from rigtool.quantity import Quantity
 from rigtool.runfile import provenance, schema
 from rigtool.runfile.model import Column, RecordingSpec, Table
-from rigtool.runfile.objects import make_group, make_number, make_text, set_attribute
+from rigtool.runfile.objects import make_array, make_group, make_number, make_text, set_attribute
 
 
 def write_head(
@@ -99,21 +99,13 @@ def _write_recording(parent: h5py.Group, spec: RecordingSpec) -> None:
     others = [channel.name for channel in spec.channels if channel.name != schema.TIME]
     group = make_group(parent, spec.name, "NXdata")
     _describe_plot(group, (schema.TIME,), spec.signal, [n for n in others if n != spec.signal])
+    datasets = {}
     for channel in spec.channels:
-        dtype = schema.DTYPES[channel.dtype]
-        dataset = group.create_dataset(
-            channel.name,
-            (0,),
-            dtype,
-            maxshape=(None,),
-            chunks=(spec.chunk,),
-            # A chunk that a damaged file has lost reads as NaN, which no analysis accepts.
-            fillvalue=np.nan if dtype.kind == "f" else None,
-            **schema.FILTERS,
-        )
+        none = np.empty(0, schema.DTYPES[channel.dtype])
+        dataset = datasets[channel.name] = make_array(group, channel.name, none, (spec.chunk,))
         set_attribute(dataset, "units", channel.unit)
         set_attribute(dataset, "long_name", channel.description)
-    _attach_axes(group, (schema.TIME,))
+    _attach_axes(datasets, (schema.TIME,))
     if spec.conditions:
         conditions = make_group(group, schema.CONDITIONS, "NXcollection")
         for name, (value, unit) in spec.conditions.items():
@@ -132,22 +124,17 @@ def _write_table(parent: h5py.Group, name: str, table: Table) -> None:
     _describe_plot(group, table.axes, table.signal, same_shape)
     if table.description:
         set_attribute(group, "long_name", table.description)
-    for key, column in table.columns.items():
-        _write_column(group, key, column)
-    _attach_axes(group, table.axes)
+    datasets = {key: _write_column(group, key, column) for key, column in table.columns.items()}
+    _attach_axes(datasets, table.axes)
 
 
-def _write_column(group: h5py.Group, name: str, column: Column) -> None:
+def _write_column(group: h5py.Group, name: str, column: Column) -> Any:
     values = column.values
-    options: dict[str, Any] = {}
-    if values.size:
-        options = {**schema.FILTERS, "chunks": _chunks(values.shape)}
-        if values.dtype.kind == "f":
-            options["fillvalue"] = np.nan
-    dataset = group.create_dataset(name, data=values, **options)
+    dataset = make_array(group, name, values, _chunks(values.shape) if values.size else None)
     set_attribute(dataset, "units", column.unit)
     if column.description:
         set_attribute(dataset, "long_name", column.description)
+    return dataset
 
 
 def _chunks(shape: tuple[int, ...]) -> tuple[int, ...]:
@@ -165,16 +152,16 @@ def _describe_plot(
     set_attribute(group, "signal", signal)
     set_attribute(group, "axes", list(axes))
     for index, axis in enumerate(axes):
-        group.attrs[f"{axis}_indices"] = np.array([index], dtype=np.int32)
+        set_attribute(group, f"{axis}_indices", np.array([index], dtype=np.int32))
     if others:
         set_attribute(group, "auxiliary_signals", list(others))
 
 
-def _attach_axes(group: h5py.Group, axes: tuple[str, ...]) -> None:
+def _attach_axes(datasets: Mapping[str, Any], axes: tuple[str, ...]) -> None:
+    """Make axes the scales of the others; low-level identifiers by name."""
     for axis in axes:
-        group[axis].make_scale(axis)
-    for dataset in group.values():
-        if dataset.name.rpartition("/")[2] in axes:
-            continue
-        for index in range(dataset.ndim):
-            dataset.dims[index].attach_scale(group[axes[index]])
+        h5py.h5ds.set_scale(datasets[axis], axis.encode())
+    for name, dataset in datasets.items():
+        if name not in axes:
+            for index in range(dataset.rank):
+                h5py.h5ds.attach_scale(dataset, datasets[axes[index]], index)

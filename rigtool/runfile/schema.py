@@ -38,12 +38,8 @@ SMALLEST_CHUNK = 32
 DTYPES: dict[str, np.dtype[Any]] = {name: np.dtype(f"<{name}") for name in ("u1", "i4", "f4", "f8")}
 """The only numeric types in a file; others crash or confuse one reader or another."""
 
-FILTERS: dict[str, Any] = {
-    "compression": "gzip",
-    "compression_opts": 1,
-    "shuffle": True,
-    "fletcher32": True,
-}
+DEFLATE_LEVEL = 1
+"""Chunks are shuffled, packed by deflate and checked by Fletcher's sum."""
 
 LIBVER = ("v110", "v110")
 """`latest` would mean HDF5 2.0, which h5dump 1.10 and MATLAB cannot read."""

@@ -63,7 +63,8 @@ class Stream:
     def seal(self, file: h5py.File) -> None:
         """Store the hash of each channel's samples with it."""
         for name, digest in self._digests.items():
-            set_attribute(file[self.path][name], "sha256", digest.hexdigest())
+            dataset = h5py.h5d.open(file.id, f"{self.path}/{name}".encode())
+            set_attribute(dataset, "sha256", digest.hexdigest())
 
     def write(self, count: int) -> None:
         """Hand the first `count` of the waiting samples to HDF5.

@@ -38,7 +38,12 @@ MEASURING = {
         "fft_ripple.revolutions=4",
         "fft_ripple.torques=[]",
     ),
-    "identify-plant": ("identify_plant.stroke_speeds=[4.4]", "identify_plant.periods=4"),
+    "identify-plant": (
+        "rig.attachment=pulley",
+        "identify_plant.speeds=[12]",
+        "identify_plant.realisations=2",
+        "identify_plant.periods=4",
+    ),
     "ilc-learn": (
         "ilc_learn.moves=4",
         "ilc_learn.speeds_rev_per_s=[3, 6]",

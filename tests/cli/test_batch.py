@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -14,6 +15,7 @@ import pytest
 
 import rigtool.cli as cli
 from rigtool.runfile import open_run
+from tests.cli.test_run_commands import call
 
 ROOT = Path(__file__).parents[2]
 FIXTURES = ROOT / "tests" / "fixtures"
@@ -44,38 +46,43 @@ info kt.h5 -q
 """
 
 
-def test_each_line_prints_what_it_prints_alone(folder):
+def test_each_line_prints_what_it_prints_alone(folder, capsys):
     Path("lines.txt").write_text(LINES)
     found = process("batch", "lines.txt", "-j", "3")
-    alone = [
-        process(*words)
-        for words in (
-            ("info", "kt.h5", "--json", "--no-tables"),
-            ("info", "no such.h5"),
-            ("diff", "kt.h5", "kt.h5"),
-            ("info", "kt.h5", "-q"),
-        )
-    ]
-    assert [one.returncode for one in alone] == [0, 3, 0, 0]
-    assert found.stdout == "".join(one.stdout for one in alone)
+    codes, outs, errs = zip(
+        *(
+            call(capsys, *words)
+            for words in (
+                ("info", "kt.h5", "--json", "--no-tables"),
+                ("info", "no such.h5"),
+                ("diff", "kt.h5", "kt.h5"),
+                ("info", "kt.h5", "-q"),
+            )
+        ),
+        strict=True,
+    )
+    assert codes == (0, 3, 0, 0)
+    assert found.stdout == "".join(outs)
     assert found.stderr.splitlines() == [
-        *"".join(one.stderr for one in alone[:2]).splitlines(),
+        *"".join(errs[:2]).splitlines(),
         "lines.txt, line 3: exit code 3: info 'no such.h5'",
-        *"".join(one.stderr for one in alone[2:]).splitlines(),
+        *"".join(errs[2:]).splitlines(),
         "lines.txt: 3 of 4 lines done, 1 failed with exit code 3",
     ]
     assert found.returncode == 3
 
 
-def test_a_run_of_a_batch_is_a_run_as_any_other(folder):
-    line = "calibrate-kt kt.h5 -o {}.h5 -q"
+def test_a_run_of_a_batch_is_a_run_as_any_other(folder, capsys, monkeypatch):
+    recipe = ROOT / "recipes" / "briaire-2006.toml"
+    line = f"suspension {shlex.quote(str(recipe))} -o {{}}.h5 --seed 1 -q"
     Path("lines.txt").write_text(line.format("first") + "\n" + line.format("many"))
     assert process("batch", "lines.txt").returncode == 0
-    assert process(*line.format("one").split()).returncode == 0
+    monkeypatch.setattr(sys, "argv", ["rigtool", *shlex.split(line.format("one"))])
+    assert call(capsys, *sys.argv[1:])[0] == 0
     with open_run("many.h5") as many, open_run("one.h5") as one:
         assert many.results == one.results
-        assert many.provenance["argv"] == ["rigtool", *line.format("many").split()]
-        assert one.provenance["argv"] == ["rigtool", *line.format("one").split()]
+        assert many.provenance["argv"] == ["rigtool", *shlex.split(line.format("many"))]
+        assert one.provenance["argv"] == sys.argv
 
 
 OWN_COMMAND = """

@@ -12,27 +12,23 @@ import pytest
 
 import rigtool.cli as cli
 from rigtool.rigs.serial.emulators.server import serve
+from rigtool.rigs.serial.moteus.table import MoteusTable
+from tests.attack.bench import MEASURING
 from tests.cli.test_run_commands import interrupted
 from tests.experiments.deploy.test_stored_sensor import learned_run
 from tests.experiments.imported_runs import SLOW, slow_turn, take
 from tests.experiments.torque_constant.test_current_levels import draw
 from tests.experiments.torque_constant.test_imported import TEXT as STAIRCASE
 from tests.fixtures.make import SHORT
-from tests.rigs.serial.emulators.moteus import MoteusEmulator
+from tests.rigs.serial.emulators import moteus
 from tests.runfile.importers.test_epos import write as write_epos
 
 ROOT = Path(__file__).parents[2]
 FIXTURES = ROOT / "tests" / "fixtures"
 
-SHORTENED = {
-    "calibrate-kt": "kt",
-    "stribeck": "friction",
-    "fft-ripple": "ripple",
-    "identify-plant": "plant",
-    "ilc-learn": "tables",
-    "measure-force": "force",
-}
-"""Settings of `make fixtures` that shorten an example on a recipe."""
+
+SHORTER = {**MEASURING, "ilc-learn": SHORT["tables"]}
+"""Settings that shorten an example on a recipe; a stored table is checked at its own speeds."""
 
 
 def lines_of_the_readme():
@@ -63,6 +59,9 @@ def bench(tmp_path, monkeypatch):
         shutil.copy(path, tmp_path)
     shutil.copy(tmp_path / "kt.h5", tmp_path / "kt-again.h5")
     monkeypatch.chdir(tmp_path)
+    # A drive's table of 128 codes is stored in an eighth of the requests.
+    monkeypatch.setattr(MoteusTable, "size", 128)
+    monkeypatch.setattr(moteus, "CODES", 128)
     return tmp_path
 
 
@@ -164,7 +163,7 @@ def drive(bench, line):
         yield
         return
     text = (bench / "recipes" / "briaire-2006.toml").read_text()
-    with serve(MoteusEmulator()) as server:
+    with serve(moteus.MoteusEmulator()) as server:
         on_line = text.replace('source = "virtual"', 'source = "serial"')
         (bench / "moteus.toml").write_text(on_line + MOTEUS.replace("PORT", server.port))
         yield
@@ -185,8 +184,8 @@ def test_the_example_runs(bench, line, capsys, monkeypatch):
 def run_example(bench, line, capsys):
     _, name, *words = line.split()
     arguments = [found for word in words for found in (sorted(glob(word)) or [word])]
-    if "recipes/briaire-2006.toml" in arguments and name in SHORTENED:
-        for setting in SHORT[SHORTENED[name]]:
+    if "recipes/briaire-2006.toml" in arguments:
+        for setting in SHORTER.get(name, ()):
             arguments += ["--set", setting]
     if "-o" in arguments and "--overwrite" not in arguments:
         output = bench / arguments[arguments.index("-o") + 1]

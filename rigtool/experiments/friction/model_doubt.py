@@ -141,20 +141,22 @@ def _unmodelled(
 
     A term (n, k) has k columns.
     """
-    best, chance = 0.0, 1.0
-    change: Array = np.zeros(design.shape[1])
+    best, found = 0.0, None
     basis = np.linalg.qr(design)[0]
     for term in terms:
         rest = term - basis @ (basis.T @ term)
         height = np.linalg.lstsq(rest, residual, rcond=None)[0]
         explained = float(np.sum((rest @ height) ** 2))
         if explained > best and np.all(np.sum(rest**2, 0) > 1e-6 * np.sum(term**2, 0)):
-            best = explained
-            change = np.asarray(np.linalg.lstsq(design, term @ height, rcond=None)[0], float)
-            left = residual - rest @ height
-            scatter, _ = long_run_covariance(np.column_stack([design, term]), left, independent)
-            k = len(height)
-            square = float(height @ np.linalg.solve(scatter[-k:, -k:], height))
-            chance = CHANCE_LEVEL**2 * k / max(square, 1e-300)
+            best, found = explained, (term, rest, height)
+    if found is None:
+        return np.zeros(design.shape[1])
+    term, rest, height = found
+    change = np.asarray(np.linalg.lstsq(design, term @ height, rcond=None)[0], np.float64)
+    left = residual - rest @ height
+    scatter, _ = long_run_covariance(np.column_stack([design, term]), left, independent)
+    k = len(height)
+    square = float(height @ np.linalg.solve(scatter[-k:, -k:], height))
+    chance = CHANCE_LEVEL**2 * k / max(square, 1e-300)
     doubt: Array = np.abs(change) * math.sqrt(max(0.0, 1 - chance))
     return doubt

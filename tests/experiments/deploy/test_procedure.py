@@ -20,8 +20,10 @@ from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.emulators.motor import EmulatedMotor
 from rigtool.rigs.serial.moteus.frames import text_to_drive
 from rigtool.rigs.serial.moteus.link import Link
+from rigtool.rigs.serial.moteus.table import MoteusTable
 from rigtool.runfile import open_run
 from tests.cli.test_run_commands import call
+from tests.rigs.serial.emulators import moteus
 from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.emulators.moteus import TABLE, MoteusEmulator
 from tests.rigs.serial.recipes import RECIPE, overrides, serial_recipe
@@ -45,6 +47,16 @@ def kt():
         yield run
 
 
+@pytest.fixture
+def short_table(monkeypatch):
+    """A drive with a table of 128 codes: what stores them takes an eighth of the requests."""
+    monkeypatch.setattr(MoteusTable, "size", 128)
+    monkeypatch.setattr(moteus, "CODES", 128)
+
+
+short = pytest.mark.usefixtures("short_table")
+
+
 def run_deploy(port, tables, kt, *more, driver="moteus", yes=True, operator=QUIET, **options):
     recipe = serial_recipe(port, *more, driver=driver)
     operator = replace(operator, yes=yes)
@@ -53,12 +65,12 @@ def run_deploy(port, tables, kt, *more, driver="moteus", yes=True, operator=QUIE
 
 
 def codes(settings):
-    return [settings[f"{TABLE}{i}"] for i in range(1024)]
+    return [settings[f"{TABLE}{i}"] for i in range(moteus.CODES)]
 
 
 def old_table(**more):
     """Return a drive that holds another table already."""
-    values = {f"{TABLE}{i}".replace(".", "__"): (i % 255) - 127 for i in range(1024)}
+    values = {f"{TABLE}{i}".replace(".", "__"): (i % 255) - 127 for i in range(moteus.CODES)}
     return MoteusEmulator(motor__cogging_dq_scale=0.001, **values, **more)
 
 
@@ -83,6 +95,7 @@ def test_the_drive_adds_what_was_learned_where_it_was_learned(tables, kt, encode
     assert any("stored and read back" in line for line in done.lines)
 
 
+@short
 def test_nobody_agrees_and_nothing_is_stored(tables, kt):
     device = MoteusEmulator()
     asked = Operator(ask=lambda text: "n", say=lambda text: None, present=True)
@@ -91,21 +104,23 @@ def test_nobody_agrees_and_nothing_is_stored(tables, kt):
     assert device.log == []
 
 
+@short
 def test_damaged_lines_are_repeated(tables, kt):
     device = MoteusEmulator()
-    faults = [Fault("flip", at=n, towards=to) for n in (2600, 5001) for to in ("host", "device")]
-    with serve(device, *faults, Fault("cut", at=3001)) as server:
+    faults = [Fault("flip", at=n, towards=to) for n in (360, 660) for to in ("host", "device")]
+    with serve(device, *faults, Fault("cut", at=410)) as server:
         done = run_deploy(server.port, tables, kt)
     assert any("requests on the line were repeated" in remark for remark in done.remarks)
     assert device.stored == device.config
     assert np.abs(codes(device.stored)).max() > 100
 
 
+@short
 def test_a_refusal_in_the_middle_brings_the_old_table_back(tables, kt):
     device = old_table()
     before = dict(device.stored)
     with (
-        serve(device, Fault("refuse", at=3200)) as server,
+        serve(device, Fault("refuse", at=435)) as server,
         pytest.raises(HardwareError, match="refuses 'conf set") as caught,
     ):
         run_deploy(server.port, tables, kt)
@@ -114,6 +129,7 @@ def test_a_refusal_in_the_middle_brings_the_old_table_back(tables, kt):
     assert "motor.cogging_dq_scale 0" in device.log  # it was off meanwhile
 
 
+@short
 def test_flash_that_keeps_nothing_is_noticed(tables, kt):
     device = old_table()
     device.loses_writes = True
@@ -123,6 +139,7 @@ def test_flash_that_keeps_nothing_is_noticed(tables, kt):
     assert device.config == device.stored == before
 
 
+@short
 def test_ctrl_c_in_the_middle_brings_the_old_table_back(tables, kt, monkeypatch):
     device, sets = old_table(), []
     before = dict(device.stored)
@@ -130,7 +147,7 @@ def test_ctrl_c_in_the_middle_brings_the_old_table_back(tables, kt, monkeypatch)
 
     def interrupted(link, name, value):
         sets.append(name)
-        if len(sets) == 500:
+        if len(sets) == 60:
             link._exchange(text_to_drive(f"conf set {name} {value}\n".encode()))
             raise KeyboardInterrupt  # the answer was not read yet
         set_one(link, name, value)
@@ -142,11 +159,12 @@ def test_ctrl_c_in_the_middle_brings_the_old_table_back(tables, kt, monkeypatch)
     assert device.config == device.stored == before
 
 
+@short
 def test_a_pulled_cable_leaves_the_stored_table_as_it_was(tables, kt):
     device = old_table()
     before = dict(device.stored)
     with (
-        serve(device, Fault("pull", at=3200)) as server,
+        serve(device, Fault("pull", at=435)) as server,
         pytest.raises(HardwareError, match="the line is lost") as caught,
     ):
         run_deploy(server.port, tables, kt)
@@ -181,6 +199,7 @@ def test_a_table_of_another_drive_is_refused(tables, kt, line, message):
     assert device.log == []
 
 
+@short
 def test_a_table_of_this_drive_is_taken_without_a_remark(tables, kt):
     tables.provenance["line"] = line_of()
     with serve(MoteusEmulator()) as server:
@@ -232,6 +251,7 @@ def test_a_drive_that_runs_is_left_alone(tables, kt):
     assert device.log == []
 
 
+@short
 def test_dry_run_of_the_command_asks_and_changes_nothing(capsys):
     device = old_table()
     before = dict(device.stored)
@@ -251,6 +271,7 @@ def test_dry_run_of_the_command_asks_and_changes_nothing(capsys):
     assert "does not state with which drive it was learned" in err
 
 
+@short
 def test_without_a_terminal_and_without_yes_nothing_is_stored(tables, kt):
     device = MoteusEmulator()
     with serve(device) as server, pytest.raises(UsageError, match="then add --yes"):
@@ -277,6 +298,7 @@ def test_a_table_that_made_it_worse_is_refused(tables, kt):
     assert device.log == []
 
 
+@short
 def test_a_table_that_was_never_tried_is_said_to_be(tables, kt):
     tables.tables = {k: v for k, v in tables.tables.items() if k != "residual_waveforms"}
     with serve(MoteusEmulator()) as server:
@@ -335,6 +357,7 @@ def ripple_of(path):
         return run.result("repeatable_rms").value, float(np.std(angle - evenly(time[steady])))
 
 
+@short
 def test_a_table_learned_on_the_drive_makes_it_run_evenly(tmp_path, capsys, monkeypatch):
     for module in (bare_motor, fft_ripple):
         monkeypatch.setattr(module, "ACCELERATION", 100.0)

@@ -77,17 +77,20 @@ class KnownRig:
         factor = 1 + self.friction * np.sign(speed)
         twist = np.zeros(angle.size)
         for _ in range(100):
-            twist = moment * np.sin(angle - twist / self.stiffness)
+            before, twist = twist, moment * np.sin(angle - twist / self.stiffness)
+            if np.array_equal(twist, before):
+                break
         return factor * twist
 
 
-@pytest.fixture
-def inputs(tmp_path: Path) -> Iterator[Callable[..., dict[str, Run]]]:
-    """Write and open a calibration and learned tables for a recipe."""
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory) -> Iterator[Callable[..., dict[str, Run]]]:
+    """Write and open a calibration and learned tables for a recipe, once for all tests."""
+    folder, known = tmp_path_factory.mktemp("inputs"), {}
     with ExitStack() as stack:
 
         def write(command: str, recipe: Recipe, results, tables, used=()) -> Run:
-            path = tmp_path / f"{command}-{len(list(tmp_path.iterdir()))}.h5"
+            path = folder / f"{command}-{len(list(folder.iterdir()))}.h5"
             with RunWriter(
                 path, command=command, recipe=recipe, recipe_text="", inputs=used
             ) as writer:
@@ -115,7 +118,13 @@ def inputs(tmp_path: Path) -> Iterator[Callable[..., dict[str, Run]]]:
             )
             return {"kt": kt, "tables": write("ilc-learn", recipe, {}, lookup, [kt])}
 
-        yield make
+        def made(recipe: Recipe, *given: float, **more: float) -> dict[str, Run]:
+            key = (recipe.model_dump_json(), given, *more.items())
+            if key not in known:
+                known[key] = make(recipe, *given, **more)
+            return known[key]
+
+        yield made
 
 
 def measured(tmp_path: Path, rig: KnownRig, inputs: dict[str, Run]) -> tuple[Outcome, Path]:
