@@ -152,8 +152,8 @@ class Sensor:
         constant, slope = self._instrument.torque_constant
         limited, most = self._instrument.limited(current), self._instrument.current_limit
         known = [encoder, np.clip(current, -most, most), constant + slope * warm]
-        riding = [warm, limited, known[1], *others]
-        signals, riding = self._sampler.add(np.array([*known, *riding], np.float64), last=last)
+        every = [*known, warm, limited, known[1], *others]
+        signals, riding = self._sampler.add(np.array(every, dtype=np.float64), last=last)
         estimate = self._filter.add(signals)
         found = self._stepper.add(riding)
         angle = estimate.low + self._instrument.count / 2
