@@ -92,9 +92,9 @@ enum {
     RS_KINDS
 };
 
-/* Of the ripple that a power-up draws: waves, those that grow with the current as well, and the
- * states of what learns it, torque first. */
-enum { RS_WAVES = 12, RS_GROWING = 8, RS_PARTS = RS_WAVES + 1 };
+/* Of the ripple that a power-up draws: waves, orders that grow with the current, and the states of
+ * what learns it, torque first. */
+enum { RS_WAVES = 12, RS_GROWING = 4, RS_PARTS = RS_WAVES + 1 };
 
 /* Columns of the rotor's map. */
 enum { RS_COGGING, RS_RIPPLE, RS_GAIN, RS_SQUARE, RS_VISCOUS, RS_COLUMNS };
@@ -121,7 +121,7 @@ struct rs_model {
     rs_real short_kept, long_kept, step_threshold, slow_threshold, least_variance;
     /* ripple of another power-up: experiments/force_sensor/power_up.py has the equations */
     rs_real wave_kept, wave_held, wave_shown, wave_slow, wave_turn;
-    rs_real wave_gains[2][RS_GROWING]; /* by torque, and by torque and ampere */
+    rs_real wave_growing[RS_GROWING][3]; /* squares by powers of the current */
     rs_real wave_mean[RS_WAVES], wave_variance[RS_WAVES], wave_doubt[RS_WAVES];
     rs_real row_noise, row_walk[2], row_reversal, row_contact, row_untouched, row_kept;
     rs_real row_begins, row_ends, row_changes, row_least, row_evidence, row_certain, row_largest;
@@ -1003,11 +1003,9 @@ static inline rs_real rs_by_current(const struct rigtool_sensor *s)
     const rs_real constant = m->constant + m->constant_slope * warm;
     rs_real sum = 0;
     int j;
-    for (j = 0; j < RS_GROWING; j += 2) {
-        const rs_real first = m->wave_gains[0][j] + size * m->wave_gains[1][j];
-        const rs_real second = m->wave_gains[0][j + 1] + size * m->wave_gains[1][j + 1];
-        sum += (rs_square(first) + rs_square(second))
-            * (rs_square(s->waves[j]) + rs_square(s->waves[j + 1]));
+    for (j = 0; j < RS_GROWING; j++) {
+        const rs_real *c = m->wave_growing[j], *w = &s->waves[2 * j];
+        sum += (c[0] + size * (c[1] + size * c[2])) * (rs_square(w[0]) + rs_square(w[1]));
     }
     return sum * rs_square(m->torque_factor * constant * current);
 }

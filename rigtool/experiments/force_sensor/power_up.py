@@ -29,9 +29,11 @@ Applications to Tracking and Navigation, 2001, section 11.6.2, static multiple m
 Ripple that grows with the current, (g + h |i|) kT i w, is in the variance alone. At another
 power-up it is off by
 
-    n^2 (kT i)^2 sum of |g + h |i||^2 |lag(w)|^2
+    n^2 (kT i)^2 sum over orders of A(i)^2 |lag(w)|^2,    A(i)^2 = |g + h |i||^2 + share of the
+                                                          variance of g + h |i|,
 
-over orders, in the mean over phases. The current i carries friction and inertia besides M.
+in the mean over phases. The current i carries friction and inertia besides M, and load friction
+looks like the low orders of g.
 """
 
 from __future__ import annotations
@@ -100,7 +102,7 @@ PARAMETERS = np.dtype(
     + [(name, "f8") for name in ("load_friction", "onset")]
 )
 
-WAVE_COUNT, GAIN_COUNT = 2 * len(RIPPLE_ORDERS), 2 * len(GAIN_ORDERS)
+WAVE_COUNT = 2 * len(RIPPLE_ORDERS)
 
 STATE = np.dtype(
     [
@@ -136,7 +138,7 @@ STATE = np.dtype(
         ("level_variance", "f8", (2,)),
         ("fast", "f8"),
         ("learned", "f8", (WAVE_COUNT,)),
-        ("gains", "f8", (2, GAIN_COUNT)),  # by torque, and by torque and ampere
+        ("growing", "f8", (len(GAIN_ORDERS), 3)),  # by powers of the current
         # variance of what a power-up draws; the wave whose doubt grows next
         ("drawn", "f8", (WAVE_COUNT,)),
         ("doubted", "f8"),
@@ -153,7 +155,7 @@ class PowerUp:
     """
 
     def __init__(self, model: ForceModel, step_time: float, corner_hz: float) -> None:
-        own, drawn, gains = learned_ripple(model)
+        own, drawn, growing = learned_ripple(model)
         size = model.uncertainty.stroke + model.uncertainty.friction_noise
         plant = model.plant(step_time)
         factor = plant.torque_factor
@@ -170,7 +172,7 @@ class PowerUp:
         self._state = np.zeros(1, dtype=STATE)
         self._state["length"] = steps
         self._state["mean"][0, :-1] = -own
-        self._state["learned"][0], self._state["gains"][0] = own, gains
+        self._state["learned"][0], self._state["growing"][0] = own, growing
         self._state["direction"] = 1.0
         self._state["drawn"][0] = drawn
         variances = np.append(drawn, (factor * size) ** 2)
@@ -246,22 +248,28 @@ def late_rows(step_time: float) -> int:
 
 def learned_ripple(model: ForceModel) -> tuple[Array, Array, Array]:
     """Return the ripple of the learned power-up, cosine and sine of each order N m, as it is at
-    low speed; the variance that another power-up's have; and what it has per torque, and per torque
-    and ampere, (2, 8)."""
-    learned, gains = model.learned, np.zeros((2, GAIN_COUNT))
-    sums = np.zeros((WAVE_COUNT, len(learned.terms)))
-    for number, term in enumerate(learned.terms):
-        if term.kind in (Kind.RIPPLE, Kind.COGGING) and term.order in RIPPLE_ORDERS:
-            sums[2 * (term.order - 1) + term.quarter, number] = 1.0
-        elif term.kind in (Kind.GAIN_RIPPLE, Kind.SQUARE_RIPPLE) and term.order in GAIN_ORDERS:
-            place = int(term.kind is Kind.SQUARE_RIPPLE), 2 * (term.order - 1) + term.quarter
-            gains[place] = learned.coefficient[number]
-    own = sums @ learned.coefficient
-    first = len(SLIDING_PARAMETERS)
-    doubt = np.diag(sums @ learned.covariance[first:, first:] @ sums.T)
-    squares = own**2 + UNCERTAIN_SHARE * doubt
-    drawn = np.repeat(squares.reshape(-1, 2).mean(axis=1), 2)
-    return own, drawn, gains
+    low speed; the variance that another power-up's have; and A(i)^2 of what grows with the
+    current, coefficients of 1, |i| and i^2 for each order (4, 3)."""
+    learned, first = model.learned, len(SLIDING_PARAMETERS)
+    covariance = learned.covariance[first:, first:]
+
+    def waves(kinds: tuple[Kind, ...], orders: range) -> Array:
+        sums = np.zeros((2 * len(orders), len(learned.terms)))
+        for number, term in enumerate(learned.terms):
+            if term.kind in kinds and term.order in orders:
+                sums[2 * (term.order - 1) + term.quarter, number] = 1.0
+        return sums
+
+    def squares(one: Array, other: Array) -> Array:
+        doubt = np.sum(one @ covariance * other, axis=1)
+        found = (one @ learned.coefficient) * (other @ learned.coefficient)
+        total: Array = (found + UNCERTAIN_SHARE * doubt).reshape(-1, 2).sum(axis=1)
+        return total
+
+    still = waves((Kind.RIPPLE, Kind.COGGING), RIPPLE_ORDERS)
+    gain, bent = (waves((k,), GAIN_ORDERS) for k in (Kind.GAIN_RIPPLE, Kind.SQUARE_RIPPLE))
+    growing = np.column_stack([squares(gain, gain), 2 * squares(gain, bent), squares(bent, bent)])
+    return still @ learned.coefficient, np.repeat(squares(still, still) / 2, 2), growing
 
 
 @compiled
@@ -312,10 +320,9 @@ def _follow(
         by_current = 0.0
         if drive.shape[0]:
             size = abs(drive[k, 1])
-            for j in range(0, GAIN_COUNT, 2):
-                first = s.gains[0, j] + size * s.gains[1, j]
-                second = s.gains[0, j + 1] + size * s.gains[1, j + 1]
-                by_current += (first**2 + second**2) * (waves[j] ** 2 + waves[j + 1] ** 2)
+            for j in range(s.growing.shape[0]):
+                square = s.growing[j, 0] + size * (s.growing[j, 1] + size * s.growing[j, 2])
+                by_current += square * (waves[2 * j] ** 2 + waves[2 * j + 1] ** 2)
             by_current *= (p.factor * drive[k, 0]) ** 2
         variance = p.factor**2 * variance + by_current
         found[3, k] = by_current

@@ -164,9 +164,10 @@ def test_ripple_that_grows_with_the_current_of_friction_and_load_is_in_the_varia
     sizes = [(Kind.GAIN_RIPPLE, 1, 0, 3e-3), (Kind.GAIN_RIPPLE, 2, 1, 4e-3)]
     sizes += [(Kind.SQUARE_RIPPLE, 1, 1, 2e-3), (Kind.SQUARE_RIPPLE, 3, 0, 5e-3)]
     states = np.zeros((len(angle), STATES))
-    by_current = PowerUp(model(growing=sizes), STEP, BANDWIDTH).add(
-        angle, states, *follows(states, current)
-    )[3]
+    by_current, in_doubt = (
+        PowerUp(model(u, sizes), STEP, BANDWIDTH).add(angle, states, *follows(states, current))[3]
+        for u in (0.0, 1e-3)
+    )
     own = np.zeros((3, 2))
     for kind, order, quarter, size in sizes:
         own[order - 1, quarter] += size * (abs(current) if kind is Kind.SQUARE_RIPPLE else 1.0)
@@ -177,6 +178,7 @@ def test_ripple_that_grows_with_the_current_of_friction_and_load_is_in_the_varia
         keys = {(order + 1, q): off[order, q] for order in range(3) for q in range(2)}
         squares.append((CONSTANT * current * ripple(keys, angle))[20000:] ** 2)
     assert by_current[20000:].mean() == pytest.approx(np.mean(squares), rel=0.05)
+    assert np.all(in_doubt[1:] > by_current[1:])
 
 
 @pytest.mark.parametrize("stiffness", [10e-3, 30e-3])
