@@ -92,8 +92,9 @@ enum {
     RS_KINDS
 };
 
-/* Of the ripple that a power-up draws: waves, and the states of what learns it, torque first. */
-enum { RS_WAVES = 12, RS_PARTS = RS_WAVES + 1 };
+/* Of the ripple that a power-up draws: waves, orders that grow with the current, and the states of
+ * what learns it, torque first. */
+enum { RS_WAVES = 12, RS_GROWING = 4, RS_PARTS = RS_WAVES + 1 };
 
 /* Columns of the rotor's map. */
 enum { RS_COGGING, RS_RIPPLE, RS_GAIN, RS_SQUARE, RS_VISCOUS, RS_COLUMNS };
@@ -119,7 +120,8 @@ struct rs_model {
     rs_real quiet_walk, slow_walk, step_walk, walk[RS_MOVING];
     rs_real short_kept, long_kept, step_threshold, slow_threshold, least_variance;
     /* ripple of another power-up: experiments/force_sensor/power_up.py has the equations */
-    rs_real wave_kept, wave_gain, wave_held, wave_shown, wave_slow, wave_turn;
+    rs_real wave_kept, wave_held, wave_shown, wave_slow, wave_turn;
+    rs_real wave_growing[RS_GROWING][3]; /* squares by powers of the current */
     rs_real wave_mean[RS_WAVES], wave_variance[RS_WAVES], wave_doubt[RS_WAVES];
     rs_real row_noise, row_walk[2], row_reversal, row_contact, row_untouched, row_kept;
     rs_real row_begins, row_ends, row_changes, row_least, row_evidence, row_certain, row_largest;
@@ -151,7 +153,7 @@ struct rigtool_sensor {
     int collected, limited, limited_before, heard, last_limited;
     struct rigtool_sensor_sample last;
     int32_t encoder;
-    rs_real current, temperature, temperature_before;
+    rs_real current, current_before, temperature, temperature_before;
     /* x, and its covariance as U diag(d) U'; rows of U that move are those of now within a step.
      * The last columns of u are the covariance of x and q; nothing depends on it. */
     rs_real x[RS_STATES], u[RS_STATES][RS_STATES + RS_ORDER], d[RS_STATES];
@@ -992,6 +994,22 @@ static inline void rs_row(struct rigtool_sensor *s)
     s->row_length = RS_ROW_STEPS / 2 + RS_ROW_STEPS * s->row_drawn / RS_DRAW_MODULUS;
 }
 
+/* The variance by the current of another power-up's ripple. */
+static inline rs_real rs_by_current(const struct rigtool_sensor *s)
+{
+    const struct rs_model *m = &rs_model;
+    const rs_real current = (s->current_before + s->current) / 2, size = RS_MATH(fabs)(current);
+    const rs_real warm = (s->temperature_before + s->temperature) / 2;
+    const rs_real constant = m->constant + m->constant_slope * warm;
+    rs_real sum = 0;
+    int j;
+    for (j = 0; j < RS_GROWING; j++) {
+        const rs_real *c = m->wave_growing[j], *w = &s->waves[2 * j];
+        sum += (c[0] + size * (c[1] + size * c[2])) * (rs_square(w[0]) + rs_square(w[1]));
+    }
+    return sum * rs_square(m->torque_factor * constant * current);
+}
+
 /* What ripple adds to the torque behind the low-pass; *variance receives its variance. */
 static inline rs_real rs_rippled(struct rigtool_sensor *s, rs_real *variance)
 {
@@ -1004,7 +1022,7 @@ static inline rs_real rs_rippled(struct rigtool_sensor *s, rs_real *variance)
     rs_row(s);
     power = rs_exp(-RS_MATH(fabs)(s->other));
     weight = (s->other < 0 ? power : (rs_real)1) / (1 + power);
-    spread = rs_square(m->wave_gain * s->x[RS_TORQUE]);
+    spread = rs_by_current(s);
     for (j = 0; j < RS_WAVES; j++) {
         rs_real by = s->shown[j].seen;
         for (i = 0; i < j; i++)
@@ -1255,6 +1273,7 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
     }
 #endif
     s->temperature_before = s->temperature;
+    s->current_before = s->current;
     s->limited_before = s->limited;
     s->none_before = none;
     return &s->reading;

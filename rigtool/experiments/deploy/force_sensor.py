@@ -20,6 +20,7 @@ from rigtool.experiments.force_filter.estimate import idle_steps
 from rigtool.experiments.force_model.drive import VISCOUS
 from rigtool.experiments.force_model.steps import LONGEST_EXACT, NO_CURRENT
 from rigtool.experiments.force_sensor import power_up, shown_ripple
+from rigtool.experiments.force_sensor.drawn_ripple import learned_ripple
 from rigtool.experiments.force_sensor.sensor import AT_THE_LIMIT, SensorProperties
 from rigtool.numerics.arrays import Array
 
@@ -167,14 +168,14 @@ def _filter(instrument: SensorProperties) -> dict[str, Number]:
 
 def _ripple(instrument: SensorProperties) -> dict[str, Number]:
     model, step_time = instrument.model, instrument.grid.step_time
-    own, drawn, gain = power_up.learned_ripple(model)
+    own, drawn, growing = learned_ripple(model)
     uncertainty = model.uncertainty
     plant = model.plant(step_time)
     size = plant.torque_factor * (uncertainty.stroke + uncertainty.friction_noise)
     row_time = power_up.row_steps(step_time) * step_time
     return {
         "wave_kept": math.exp(-step_time / model.learned.shape.ripple_time),
-        "wave_gain": gain,
+        "wave_growing": growing,
         "wave_held": shown_ripple.LARGEST_SHOWN,
         "wave_shown": 1 - math.exp(-step_time / shown_ripple.SHOWN_TIME),
         "wave_slow": shown_ripple.HELD_LENGTHS * plant.presliding_angle / step_time,

@@ -24,7 +24,7 @@ from rigtool.experiments.imported_load.imported_signals import REFERENCE_CHANNEL
 from rigtool.experiments.imported_load.learning import levels_of
 from rigtool.experiments.imported_load.loop import DOUBTED, REFUSED
 from rigtool.experiments.imported_load.model import LoadModel, TorqueEstimate
-from rigtool.experiments.imported_load.region import POSITION_SLACK, reached
+from rigtool.experiments.imported_load.region import reached
 from rigtool.experiments.imported_load.stored import load_model_from
 from rigtool.experiments.outcome import Outcome
 from rigtool.quantity import Quantity
@@ -35,6 +35,10 @@ MOST_BEYOND = 0.25
 
 END_SHARE = 1e-3
 """Part of the samples at either end of the way that do not show how far strokes go."""
+
+LEAST_BEYOND = 0.005
+"""Part of the way by which strokes leave the learned one, from which on they are longer, or the
+encoder was zeroed elsewhere: what is below is the encoder's noise."""
 
 LEAST_NOISIER = 1.1
 """Factor by noise that was not learned, on u, from which on a note states it."""
@@ -109,7 +113,7 @@ def of_this_zero(
     place = np.concatenate([model.place(path)[path.regular] for path in paths])
     lowest, highest = np.quantile(place, [END_SHARE, 1 - END_SHARE])
     back = max(-lowest, 0.0) if -lowest > highest - 1 else -max(highest - 1, 0.0)
-    if abs(back) <= POSITION_SLACK:
+    if abs(back) <= LEAST_BEYOND:
         return list(measured), []
     back *= model.scales.high - model.scales.low
     found = []

@@ -26,7 +26,7 @@ import numpy as np
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.model import Kind, wave
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
-from rigtool.experiments.force_sensor.power_up import UNCERTAIN_SHARE
+from rigtool.experiments.force_sensor.drawn_ripple import UNCERTAIN_SHARE
 from rigtool.experiments.force_sensor.unknown_friction import ANGLE_CELLS, FEWEST_CELLS, Passes
 from rigtool.numerics.arrays import Array
 

@@ -25,6 +25,8 @@ is then taken back. The likelihoods of both hypotheses weigh them, by less than 
 errors of rows that follow one another are alike. Given is
 the mean of the mixture, and its variance (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with
 Applications to Tracking and Navigation, 2001, section 11.6.2, static multiple models).
+
+What of the ripple grows with the current is in the variance alone (`drawn_ripple`).
 """
 
 from __future__ import annotations
@@ -39,9 +41,9 @@ from rigtool.experiments.force_filter import passed
 from rigtool.experiments.force_filter.motion_states import SLIDING_DEFLECTION
 from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, TORQUE, Record
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.model import RIPPLE_ORDERS, Kind
-from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
+from rigtool.experiments.force_model.model import GAIN_ORDERS, RIPPLE_ORDERS
 from rigtool.experiments.force_sensor import shown_ripple
+from rigtool.experiments.force_sensor.drawn_ripple import learned_ripple
 from rigtool.experiments.force_sensor.shown_ripple import show
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
@@ -72,10 +74,6 @@ ROW_EVIDENCE = 0.5
 """Part of the logarithm of a row's ratio of likelihoods that counts: noise of a row lasts for more
 than one."""
 
-UNCERTAIN_SHARE = 0.3
-"""Part of the variance of the learned waves that counts: that of the high orders is their prior's,
-which is several times what amplifiers have."""
-
 MEMORY, FORGOTTEN = 2.0, 1000.0
 """Of M where nothing touches, s: about that of a stroke. And the time of sliding in which the doubt
 of the ripple grows by what it was at first: strokes pay back what others deviate by, a weak contact
@@ -88,7 +86,7 @@ LARGEST_RIPPLE_RATIO = 3.0
 """Largest ratio of an order's amplitude at another power-up to the learned one."""
 
 PARAMETERS = np.dtype(
-    [(name, "f8") for name in ("lag", "factor", "gain", "steps", "time", "size", "late")]
+    [(name, "f8") for name in ("lag", "factor", "steps", "time", "size", "late")]
     + [(name, "f8") for name in ("step_time", "inertia", "friction", "length", "slow", "shown")]
     + [(name, "f8") for name in ("load_friction", "onset")]
 )
@@ -129,6 +127,7 @@ STATE = np.dtype(
         ("level_variance", "f8", (2,)),
         ("fast", "f8"),
         ("learned", "f8", (WAVE_COUNT,)),
+        ("growing", "f8", (len(GAIN_ORDERS), 3)),  # by powers of the current
         # variance of what a power-up draws; the wave whose doubt grows next
         ("drawn", "f8", (WAVE_COUNT,)),
         ("doubted", "f8"),
@@ -145,8 +144,7 @@ class PowerUp:
     """
 
     def __init__(self, model: ForceModel, step_time: float, corner_hz: float) -> None:
-        # ripple that grows with the current is in the variance alone
-        own, drawn, gain = learned_ripple(model)
+        own, drawn, growing = learned_ripple(model)
         size = model.uncertainty.stroke + model.uncertainty.friction_noise
         plant = model.plant(step_time)
         factor = plant.torque_factor
@@ -157,13 +155,13 @@ class PowerUp:
         housing = plant.housing_friction, plant.housing_presliding_angle
         slow = shown_ripple.HELD_LENGTHS * plant.presliding_angle / step_time
         shown = 1 - math.exp(-step_time / shown_ripple.SHOWN_TIME)
-        numbers = lag, factor, gain, steps, time, factor * size, late, step_time, inertia
+        numbers = lag, factor, steps, time, factor * size, late, step_time, inertia
         load = plant.load_friction, plant.load_friction_onset
         self._parameters = np.array([(*numbers, *housing, slow, shown, *load)], dtype=PARAMETERS)
         self._state = np.zeros(1, dtype=STATE)
         self._state["length"] = steps
         self._state["mean"][0, :-1] = -own
-        self._state["learned"][0] = own
+        self._state["learned"][0], self._state["growing"][0] = own, growing
         self._state["direction"] = 1.0
         self._state["drawn"][0] = drawn
         variances = np.append(drawn, (factor * size) ** 2)
@@ -180,20 +178,25 @@ class PowerUp:
         other: float = self._state["other"][0]
         return 1 / (1 + math.exp(-other))
 
-    def add(self, angle: Array, states: Array, gains: Array) -> tuple[Array, Array, Array]:
-        """Return them from these steps and those before, torque behind the low-pass (m,).
+    def add(
+        self, angle: Array, states: Array, gains: Array, drive: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return them from these steps and those before, torque behind the low-pass (m,), and the
+        variance (m,) N2 m2 that ripple by the current has if the power-up is another one.
 
         `angle` (m,) rad is the rotor's, `states` (m, 12) those of the causal filter, `gains` (m, 6)
-        its `Estimate.gains`.
+        its `Estimate.gains`, `drive` (m, 2) the motor's torque N m and its current A.
         """
         way = np.sign(states[:, SPEED])
         sliding = states[:, HOUSING] * way >= SLIDING_DEFLECTION
         moving = states[:, [GRASPER, SPEED, HOUSING]]
         follows = np.column_stack([gains, moving])
-        return self._followed(self._state, angle, states[:, TORQUE], sliding, follows)
+        drive = np.ascontiguousarray(drive)
+        return self._followed(self._state, angle, states[:, TORQUE], sliding, follows, drive)
 
     def whole(self, angle: Array, torque: Array) -> tuple[Array, Array, Array]:
-        """Return them from all that was added, at its steps again: (m,) not low-passed.
+        """Return them from all that was added, at its steps again: (m,) not low-passed, the
+        variance without what the current makes.
 
         `angle` (m,) rad as before, `torque` (m,) N m from the whole recording.
         """
@@ -203,8 +206,8 @@ class PowerUp:
         """Return `whole` for a recording that is given piece by piece."""
         state = self._state.copy()
         state["waves"] = 0.0
-        none = np.zeros(0, np.bool_), np.zeros((0, 0))
-        return lambda angle, torque: self._followed(state, angle, torque, *none)
+        none = np.zeros(0, np.bool_), np.zeros((0, 0)), np.zeros((0, 2))
+        return lambda angle, torque: self._followed(state, angle, torque, *none)[:3]
 
     def _followed(
         self,
@@ -213,12 +216,13 @@ class PowerUp:
         torque: Array,
         sliding: NDArray[np.bool_],
         follows: Array,
-    ) -> tuple[Array, Array, Array]:
-        found = np.empty((3, len(angle)))
-        torque = np.ascontiguousarray(torque)
-        _follow(state, self._parameters, self._low_pass, angle, torque, sliding, follows, found)
-        ripple, variance, less = found
-        return ripple, variance, less
+        drive: Array,
+    ) -> tuple[Array, Array, Array, Array]:
+        found = np.empty((4, len(angle)))
+        signals = angle, np.ascontiguousarray(torque), sliding, follows, drive
+        _follow(state, self._parameters, self._low_pass, *signals, found)
+        ripple, variance, less, by_current = found
+        return ripple, variance, less, by_current
 
 
 def row_steps(step_time: float) -> int:
@@ -231,24 +235,6 @@ def late_rows(step_time: float) -> int:
     return round(LATE_TIME / (row_steps(step_time) * step_time))
 
 
-def learned_ripple(model: ForceModel) -> tuple[Array, Array, float]:
-    """Return the ripple of the learned power-up, cosine and sine of each order N m, as it is at
-    low speed; the variance that another power-up's have; and its root mean square per torque."""
-    learned, gain = model.learned, 0.0
-    sums = np.zeros((WAVE_COUNT, len(learned.terms)))
-    for number, term in enumerate(learned.terms):
-        if term.kind in (Kind.RIPPLE, Kind.COGGING) and term.order in RIPPLE_ORDERS:
-            sums[2 * (term.order - 1) + term.quarter, number] = 1.0
-        elif term.kind is Kind.GAIN_RIPPLE:
-            gain += float(learned.coefficient[number]) ** 2
-    own = sums @ learned.coefficient
-    first = len(SLIDING_PARAMETERS)
-    doubt = np.diag(sums @ learned.covariance[first:, first:] @ sums.T)
-    squares = own**2 + UNCERTAIN_SHARE * doubt
-    drawn = np.repeat(squares.reshape(-1, 2).mean(axis=1), 2)
-    return own, drawn, math.sqrt(gain)
-
-
 @compiled
 def _follow(
     state: NDArray[np.void],
@@ -258,9 +244,11 @@ def _follow(
     torque: Array,
     sliding: NDArray[np.bool_],
     follows: Array,
+    drive: Array,
     found: Array,
 ) -> None:
-    """Advance by m steps; `found` (3, m) receives ripple, variance and drive torque.
+    """Advance by m steps; `found` (4, m) receives ripple, variance, drive torque, and the
+    variance by the current of another power-up.
 
     Where `sliding` is given, it learns, and ripple passes the low-pass.
     """
@@ -292,7 +280,15 @@ def _follow(
             for j in range(i):
                 total += s.covariance[i, j] * shown[j]
             variance += 2.0 * shown[i] * total
-        variance = p.factor**2 * variance + (p.gain * torque[k]) ** 2
+        by_current = 0.0
+        if drive.shape[0]:
+            size = abs(drive[k, 1])
+            for j in range(s.growing.shape[0]):
+                square = s.growing[j, 0] + size * (s.growing[j, 1] + size * s.growing[j, 2])
+                by_current += square * (waves[2 * j] ** 2 + waves[2 * j + 1] ** 2)
+            by_current *= (p.factor * drive[k, 0]) ** 2
+        variance = p.factor**2 * variance + by_current
+        found[3, k] = by_current
         found[0, k] = weight * mean
         found[1, k] = weight * variance + weight * (1.0 - weight) * mean * mean
         found[2, k] = weight * less

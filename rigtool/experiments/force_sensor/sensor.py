@@ -106,8 +106,9 @@ class Sensed:
     amplifier adds, `u` its standard uncertainty.
 
     `signals` are what the filter took, for another one; `less` (m,) N m is what that ripple takes
-    off the drive torque, and `doubt` (m,) N m its standard deviation on the output; `kinds` (m,)
-    are those of errors, `Judge.kinds`.
+    off the drive torque, `doubt` (m,) N m its standard deviation on the output, and `by_current`
+    (m,) N2 m2 the variance by the current if the power-up is another one; `kinds` (m,) are those of
+    errors, `Judge.kinds`.
     """
 
     estimate: Estimate
@@ -120,6 +121,7 @@ class Sensed:
     signals: Signals
     less: Array
     doubt: Array
+    by_current: Array
 
 
 class Sensor:
@@ -150,13 +152,15 @@ class Sensor:
         constant, slope = self._instrument.torque_constant
         limited, most = self._instrument.limited(current), self._instrument.current_limit
         known = [encoder, np.clip(current, -most, most), constant + slope * warm]
-        signals, riding = self._sampler.add(
-            np.array([*known, warm, limited, *others], dtype=np.float64), last=last
-        )
+        every = [*known, warm, limited, known[1], *others]
+        signals, riding = self._sampler.add(np.array(every, dtype=np.float64), last=last)
         estimate = self._filter.add(signals)
         found = self._stepper.add(riding)
         angle = estimate.low + self._instrument.count / 2
-        ripple, variance, less = self.power_up.add(angle, estimate.states, estimate.gains)
+        drive = np.column_stack([(constant + slope * found[0]) * found[2], found[2]])
+        ripple, variance, less, by_current = self.power_up.add(
+            angle, estimate.states, estimate.gains, drive
+        )
         torque = estimate.passed - ripple
         moments = Moments(
             estimate.low,
@@ -172,7 +176,8 @@ class Sensor:
         scales = self._instrument.model.scales[1]
         u = uncertainty_of_kinds(scales, estimate.deviation, torque, kinds, variance, least)
         doubt = np.sqrt(variance)
-        return Sensed(estimate, torque, u, moments, states, kinds, found[2:], signals, less, doubt)
+        own = estimate, torque, u, moments, states, kinds, found[3:], signals, less, doubt
+        return Sensed(*own, by_current)
 
     @property
     def last_deviation(self) -> float:

@@ -61,6 +61,7 @@ ESTIMATED_TYPES = {
     "untouched": np.float32,
     "untouched_u": np.float32,
     "doubt": np.float32,
+    "by_current": np.float32,
 }
 """At each step, but for the causal torque, its u and state and the angle that was passed, which are
 kept at the table's rows. What is in single precision is known to 1e-7 of itself, the angle, of
@@ -127,6 +128,7 @@ class Stretch:
         self._keep("less", sensed.less)
         self._keep("causal", sensed.torque[rows])
         self._keep("causal_u", sensed.u[rows])
+        self._keep("by_current", sensed.by_current[rows])
         self._keep("causal_states", sensed.states[rows])
         for reference in sensed.others:
             self._keep("reference", reference)
@@ -274,7 +276,9 @@ class Stretch:
         ahead = weight_ahead(1 / step_time, len(deviation), corner_hz)
         ahead *= self._sensor.last_deviation
         deviation[-len(ahead) :] = np.hypot(deviation[-len(ahead) :], ahead)
-        kinds, variance = self._taken("kinds")[::every], np.concatenate(variances)
+        kinds = self._taken("kinds")[::every]
+        by_current = self._sensor.power_up.probability * self._taken("by_current")
+        variance = np.concatenate(variances) + by_current
         least = instrument.open_variances[kinds] * self._taken("idle")[::every]
         deviation = deviation[::every].astype(float)
         scales = instrument.model.scales[0]

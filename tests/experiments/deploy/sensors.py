@@ -52,10 +52,12 @@ ROTOR = np.stack(
 
 DRIVE = MotorMap(ROTOR, 0.05, 2e-3, 1e-4)
 RIPPLE = {1: 5e-4, 2: 3e-4, 3: 1e-4, 6: 2e-4}
+GROWING = {(Kind.GAIN_RIPPLE, 2, 0): 4e-3, (Kind.SQUARE_RIPPLE, 3, 1): 6e-3}
 LEARNED = SimpleNamespace(
-    terms=[Term(Kind.RIPPLE, 1e-3, order, order % 2) for order in RIPPLE],
-    coefficient=np.array(list(RIPPLE.values())),
-    covariance=1e-8 * np.eye(len(SLIDING_PARAMETERS) + len(RIPPLE)),
+    terms=[Term(Kind.RIPPLE, 1e-3, order, order % 2) for order in RIPPLE]
+    + [Term(kind, 1e-3, *key) for kind, *key in GROWING],
+    coefficient=np.array([*RIPPLE.values(), *GROWING.values()]),
+    covariance=1e-8 * np.eye(len(SLIDING_PARAMETERS) + len(RIPPLE) + len(GROWING)),
     shape=SimpleNamespace(ripple_time=0.05),
 )
 """Of the terms, those of the ripple that a power-up draws."""

@@ -18,13 +18,15 @@ STEP, BANDWIDTH = 1e-3, 10.0
 FACTOR, LAG = 1.2, 0.05
 LEARNED = {(1, 0): 0.3e-3, (1, 1): -0.2e-3, (2, 0): 0.1e-3, (2, 1): 0.8e-3}
 OTHER = {(1, 0): -0.1e-3, (1, 1): 0.4e-3, (2, 0): 0.7e-3, (2, 1): -0.3e-3}
-STROKE = 0.3e-3
+STROKE, CONSTANT = 0.3e-3, 0.045
 
 
-def model(uncertain=0.0):
+def model(uncertain=0.0, growing=()):
+    """Return a model; `growing` are kind, order and quarter of ripple by the current, and size."""
     terms = [Term(Kind.BEARING, 1.0), Term(Kind.HOUSING, 1.0)]
     terms += [Term(Kind.RIPPLE, 1.0, *key) for key in LEARNED]
-    coefficient = np.array([2e-3, 9e-3, *LEARNED.values()])
+    terms += [Term(kind, 1.0, *key) for kind, *key, _ in growing]
+    coefficient = np.array([2e-3, 9e-3, *LEARNED.values(), *(size for *_, size in growing)])
     shape = Shape(2e-3, 8e-3, 5e-3, 0.3, LAG, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3)
     size = len(SLIDING_PARAMETERS) + len(terms)
     known, covariance = Known(0.85, FACTOR, 2e-5), uncertain**2 * np.eye(size)
@@ -42,9 +44,11 @@ def motion(seconds=40.0, way=1.25):
     return time, angle, states
 
 
-def gains(states):
-    """Return gains that do not count: the motion is so slow that the bearings hold the rotor."""
-    return np.zeros((len(states), 6))
+def follows(states, current=0.0):
+    """Return gains that do not count, as the motion is so slow that the bearings hold the rotor;
+    and the motor's torque and current."""
+    drive = np.tile([CONSTANT * current, current], (len(states), 1))
+    return np.zeros((len(states), 6)), drive
 
 
 def ripple(coefficients, angle):
@@ -77,7 +81,7 @@ def another():
     added = ripple(OTHER, angle) - ripple(LEARNED, angle)
     states[:, TORQUE] = contact(time) + noise(time, states) + added
     power_up = PowerUp(model(), STEP, BANDWIDTH)
-    found, variance, _ = power_up.add(angle, states, gains(states))
+    found, variance, *_ = power_up.add(angle, states, *follows(states))
     return power_up, angle, states, added, found, variance
 
 
@@ -97,7 +101,7 @@ def test_motion_over_a_small_part_of_a_turn_shows_the_mean_of_the_ripple_there()
     added = ripple(OTHER, angle) - ripple(LEARNED, angle)
     states[:, TORQUE] = contact(time) + noise(time, states) + added
     power_up = PowerUp(model(), STEP, BANDWIDTH)
-    found, variance, _ = power_up.add(angle, states, gains(states))
+    found, variance, *_ = power_up.add(angle, states, *follows(states))
     late = slice(round(20 / STEP), None)
     assert abs(added[late].mean()) > 0.8e-3
     assert abs((found - added)[late].mean()) < 0.2 * abs(added[late].mean())
@@ -108,7 +112,7 @@ def test_the_learned_power_up_changes_nothing():
     time, angle, states = motion()
     states[:, TORQUE] = contact(time) + noise(time, states)
     power_up = PowerUp(model(), STEP, BANDWIDTH)
-    found, variance, _ = power_up.add(angle, states, gains(states))
+    found, variance, *_ = power_up.add(angle, states, *follows(states))
     late = slice(round(10 / STEP), None)
     assert power_up.probability < 0.01
     assert np.abs(found[late]).max() < 0.1 * STROKE
@@ -119,8 +123,8 @@ def test_blocks_of_any_length_give_the_same(another):
     _, angle, states, _, found, variance = another
     parts, again = PowerUp(model(), STEP, BANDWIDTH), []
     for first, last in ((0, 7), (7, 7), (7, 5001), (5001, None)):
-        again.append(parts.add(angle[first:last], states[first:last], gains(states[first:last])))
-    torques, variances, _ = zip(*again, strict=True)
+        again.append(parts.add(angle[first:last], states[first:last], *follows(states[first:last])))
+    torques, variances, *_ = zip(*again, strict=True)
     np.testing.assert_array_equal(np.concatenate(torques), found)
     np.testing.assert_array_equal(np.concatenate(variances), variance)
 
@@ -128,7 +132,7 @@ def test_blocks_of_any_length_give_the_same(another):
 def test_at_rest_nothing_is_learned_and_the_doubt_stays():
     _, angle, states = motion(5.0)
     angle[:], states[:, SPEED], states[:, HOUSING] = 0.5, 0.0, 0.3
-    found, variance, _ = PowerUp(model(), STEP, BANDWIDTH).add(angle, states, gains(states))
+    found, variance, *_ = PowerUp(model(), STEP, BANDWIDTH).add(angle, states, *follows(states))
     settled = slice(round(1 / STEP), None)
     # half of the mean of a ripple that is all its own: minus the learned one
     gone = -ripple(LEARNED, angle)
@@ -144,13 +148,37 @@ def test_an_order_that_was_learned_too_small_may_be_larger_at_another_power_up()
     states[:, TORQUE] = contact(time) + noise(time, states) + added
     late, errors = slice(round(10 / STEP), None), {}
     for uncertain in (0.0, 1e-3):
-        found, variance, _ = PowerUp(model(uncertain), STEP, BANDWIDTH).add(
-            angle, states, gains(states)
+        found, variance, *_ = PowerUp(model(uncertain), STEP, BANDWIDTH).add(
+            angle, states, *follows(states)
         )
         errors[uncertain] = np.sqrt(np.mean((found - added)[late] ** 2))
     assert errors[1e-3] < 0.15 * np.sqrt(np.mean(added**2))
     assert errors[1e-3] < 0.7 * errors[0.0]
     assert np.mean(np.abs(found - added)[late] < 1.96 * np.sqrt(variance[late])) > 0.95
+
+
+@pytest.mark.parametrize("current", [0.3, -1.2])
+def test_ripple_that_grows_with_the_current_of_friction_and_load_is_in_the_variance(current):
+    """Of other phases, as long as nobody knows them: in the mean over phases and a turn."""
+    angle = np.linspace(0.0, 40 * np.pi, 40000)
+    sizes = [(Kind.GAIN_RIPPLE, 1, 0, 3e-3), (Kind.GAIN_RIPPLE, 2, 1, 4e-3)]
+    sizes += [(Kind.SQUARE_RIPPLE, 1, 1, 2e-3), (Kind.SQUARE_RIPPLE, 3, 0, 5e-3)]
+    states = np.zeros((len(angle), STATES))
+    by_current, in_doubt = (
+        PowerUp(model(u, sizes), STEP, BANDWIDTH).add(angle, states, *follows(states, current))[3]
+        for u in (0.0, 1e-3)
+    )
+    own = np.zeros((3, 2))
+    for kind, order, quarter, size in sizes:
+        own[order - 1, quarter] += size * (abs(current) if kind is Kind.SQUARE_RIPPLE else 1.0)
+    squares = []
+    for phase in np.arange(0, 2 * np.pi, 0.5):
+        turn = np.array([[np.cos(phase), np.sin(phase)], [-np.sin(phase), np.cos(phase)]])
+        off = own @ turn - own
+        keys = {(order + 1, q): off[order, q] for order in range(3) for q in range(2)}
+        squares.append((CONSTANT * current * ripple(keys, angle))[20000:] ** 2)
+    assert by_current[20000:].mean() == pytest.approx(np.mean(squares), rel=0.05)
+    assert np.all(in_doubt[1:] > by_current[1:])
 
 
 @pytest.mark.parametrize("stiffness", [10e-3, 30e-3])
@@ -160,7 +188,7 @@ def test_a_force_that_repeats_with_the_angle_is_no_ripple(stiffness):
     spring = stiffness * np.maximum(angle - 1.5, 0.0)
     states[:, TORQUE] = spring + noise(time, states)
     power_up = PowerUp(model(), STEP, BANDWIDTH)
-    found, *_ = power_up.add(angle, states, gains(states))
+    found, *_ = power_up.add(angle, states, *follows(states))
     assert power_up.probability < 1e-4
     late = slice(round(20 / STEP), None)
     assert np.abs(found[late]).max() < 0.01 * STROKE
@@ -180,7 +208,7 @@ def ramps(time, largest, every):
 def test_weak_contacts_that_grow_slowly_are_no_ripple(largest):
     time, angle, states = motion()
     states[:, TORQUE] = ramps(time, largest, 10.0) + noise(time, states)
-    found, variance, _ = PowerUp(model(), STEP, BANDWIDTH).add(angle, states, gains(states))
+    found, variance, *_ = PowerUp(model(), STEP, BANDWIDTH).add(angle, states, *follows(states))
     assert np.sqrt(np.mean(found**2)) < 0.5 * STROKE
     assert np.mean(np.abs(found) < 1.96 * np.sqrt(variance)) > 0.95
 
@@ -190,7 +218,7 @@ def test_a_contact_that_is_recognised_by_its_end_leaves_nothing_in_the_ripple():
     added = ripple(OTHER, angle) - ripple(LEARNED, angle)
     states[:, TORQUE] = ramps(time, 4e-3, 8.0) + noise(time, states) + added
     power_up = PowerUp(model(), STEP, BANDWIDTH)
-    found, variance, _ = power_up.add(angle, states, gains(states))
+    found, variance, *_ = power_up.add(angle, states, *follows(states))
     assert power_up.probability > 0.99
     assert np.mean(np.abs(found - added) < 1.96 * np.sqrt(variance)) > 0.95
     whole, left, _ = power_up.whole(angle, states[:, TORQUE])
@@ -207,7 +235,7 @@ def test_a_force_that_swings_with_rows_of_20_ms_is_no_ripple(frequency):
         swing = 5e-3 * np.sin(2 * np.pi * (frequency * time + part / 3) + 0.1)
         states[:, TORQUE] = swing + noise(time, states, part) + added
         power_up = PowerUp(model(), STEP, BANDWIDTH)
-        power_up.add(angle, states, gains(states))
+        power_up.add(angle, states, *follows(states))
         whole, left, _ = power_up.whole(angle, states[:, TORQUE])
         held.append(np.mean(np.abs(whole - added) < 1.96 * np.sqrt(left)))
     assert np.mean(held) > 0.7

@@ -295,6 +295,19 @@ def test_u_holds_another_zero_of_the_encoder(learned, zero):
     assert "leave the learned one by 3" in notes[0]
 
 
+@pytest.mark.parametrize("part", [-0.02, 0.02])
+def test_a_zero_that_is_off_by_a_fiftieth_of_the_way_is_in_u(learned, part):
+    model = learned.model
+    item = observe(0.05, 0.2, zero=part * (model.scales.high - model.scales.low))
+    estimate = model.estimate(item.effort, item.path)
+    (wider,), notes = of_this_zero([Measured(item, estimate)], model)
+    assert len(notes) == 1
+    used = estimate.inside
+    error = estimate.torque - item.sensor
+    assert np.mean((np.abs(error) <= 1.96 * wider.estimate.u)[used]) > 0.95
+    assert np.median((wider.estimate.u / estimate.u)[used]) > 1.05
+
+
 def test_strokes_as_learned_have_the_zero_that_was_learned(learned):
     item = observe(0.05, 0.2)
     measured = [Measured(item, learned.model.estimate(item.effort, item.path))]
