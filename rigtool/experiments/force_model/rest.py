@@ -18,8 +18,8 @@ has the mean 0 and the variance 1 if the model holds: the parameters are those o
 e^2 (prediction errors: K. J. Astrom, Automatica 16(5) 551-574, 1980). The least torque would be
 biased: how much of an error a filter takes for torque depends on the parameters, too.
 
-With the length that turns show, the filter is off at rest, as its estimate of the path within a
-count lags: what it reads at rest with least errors is a part of that length, searched last.
+About rest the filter errs less with a shorter bristle than the true one that turns show, even where
+all else is true: the part of its length that acts there is searched last.
 """
 
 from __future__ import annotations
