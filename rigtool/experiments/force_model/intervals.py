@@ -133,9 +133,9 @@ def _of_least_score(
     """Return c and g, (2,), of errors (n,)."""
     errors, loads = np.abs(error / deviation), np.abs(torque / deviation)
     own = errors[free]
-    best = _least(lambda c: _score(own, np.full(len(own), c), expected, c), *FACTORS)
+    best = least_at(lambda c: _score(own, np.full(len(own), c), expected, c), *FACTORS)
     factor = max(best, least)
-    share = _least(lambda g: _score(errors, np.hypot(factor, g * loads)), *SHARES)
+    share = least_at(lambda g: _score(errors, np.hypot(factor, g * loads)), *SHARES)
     return np.array([factor, share])
 
 
@@ -152,7 +152,7 @@ def _score(errors: Array, u: Array, expected: float = 0.0, factor: float = 1.0) 
     return seen + expected * (2 * edge + penalty * 2 * beyond)
 
 
-def _least(score: Callable[[float], float], low: float, high: float) -> float:
+def least_at(score: Callable[[float], float], low: float, high: float) -> float:
     """Return where between two values a score is least, searched by its logarithm."""
     from scipy.optimize import minimize_scalar
 

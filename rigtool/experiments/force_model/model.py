@@ -87,7 +87,8 @@ class Shape:
     Lengths of the bristles of bearing and housing, rad of the motor, and of the tip, rad of the
     output; `stribeck_speed` rad/s; `ripple_time` s of the lag; tendon `stiffness` N m/rad and
     `damping` N m s/rad, `tip_friction` N m, the `grasper_inertia` kg m2 of the bare output,
-    and the torque carried, `load_onset` N m, from which on friction grows with it.
+    the torque carried, `load_onset` N m, from which on friction grows with it, and the part of the
+    bearing's length that acts about rest, `resting_part`.
     """
 
     bearing_length: float
@@ -100,6 +101,7 @@ class Shape:
     tip_friction: float
     grasper_inertia: float
     load_onset: float
+    resting_part: float = 1.0
 
 
 @dataclass(frozen=True)

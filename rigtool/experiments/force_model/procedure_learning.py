@@ -31,6 +31,7 @@ from rigtool.experiments.force_model.rest import (
     FILTER_SETTLING_TIME,
     Exploration,
     learn_rest,
+    learn_resting_part,
     learn_turns,
 )
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
@@ -123,12 +124,14 @@ def learn_force(
     of_means = replace(deviating, stroke=kept * deviating.stroke, load=kept * deviating.load)
     sliding = learn_sliding(records, known, own.count, of_means)
     uncertainty = ForceModel(sliding.learned, deviating).uncertainty
-    found = learn_rest(sliding.learned, _motion(signals, own), uncertainty)
+    resting = _motion(signals, own)
+    found = learn_rest(sliding.learned, resting, uncertainty)
     if moves:
         under = _condition(recipe, kt, warm, 0.0)
         least = TURNING_SPEED_RATIO * max(r.condition("speed") for r in moves)
         turns = [_signals(r, recipe) for r in moves if r.condition("speed") >= least]
         found = learn_turns(found, [_motion(turn, under) for turn in turns], uncertainty)
+        found = learn_resting_part(found, resting, uncertainty)
     model = ForceModel(found, deviating)
     slowest = min(r.condition("speed") for r in strokes)
     creeping = CREEP_SPEED_RATIO * slowest

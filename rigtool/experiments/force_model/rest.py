@@ -17,6 +17,9 @@ then moves it by d s and leaves the part rho of its variance, and
 has the mean 0 and the variance 1 if the model holds: the parameters are those of the least sum of
 e^2 (prediction errors: K. J. Astrom, Automatica 16(5) 551-574, 1980). The least torque would be
 biased: how much of an error a filter takes for torque depends on the parameters, too.
+
+About rest the filter errs less with a shorter bristle than the true one that turns show, even where
+all else is true: the part of its length that acts there is searched last.
 """
 
 from __future__ import annotations
@@ -31,6 +34,7 @@ import numpy as np
 from rigtool.experiments.force_filter.estimate import Estimate, Filter, Signals
 from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_model.drive import MotorMap, drive_of, plant_of
+from rigtool.experiments.force_model.intervals import least_at
 from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind
 from rigtool.experiments.force_model.sliding_problem import (
@@ -101,6 +105,9 @@ SPEED_RATE = 2.0
 of its speed can lose a count and not find back: errors then leap where a parameter hardly changes,
 and the search stops at the next leap."""
 
+RESTING_PARTS = 0.4, 1.6
+"""Between which the part of the short bristle's length is that acts about rest."""
+
 LEAST_INFORMED = 0.01
 """Part 1 - rho of the angle's variance that is taken away, from which on it divides: below it a
 count says nothing."""
@@ -166,6 +173,23 @@ def learn_turns(
     return TurnsProblem(learned, strokes, held(uncertainty), BY_TURNS).solution([])
 
 
+def learn_resting_part(
+    learned: LearnedModel, exploration: Exploration, uncertainty: Uncertainty
+) -> LearnedModel:
+    """Return the model with the part of the short bristle's length that the filter that reads has
+    its least errors with about rest, in the same exploration."""
+    problem = RestProblem(learned, [exploration], held(uncertainty), BY_REST)
+
+    def with_part(part: float) -> LearnedModel:
+        return replace(learned, shape=replace(learned.shape, resting_part=part))
+
+    def cost(part: float) -> float:
+        errors = problem.errors_of(with_part(part)) / (problem.scale * HUBER_THRESHOLD)
+        return float(np.sum(np.hypot(1, errors) - 1))
+
+    return with_part(least_at(cost, *RESTING_PARTS))
+
+
 class RestProblem:
     """Errors of the filter by parameters: logarithms of the two lengths, then of what is shown.
 
@@ -228,8 +252,11 @@ class RestProblem:
         return np.concatenate([lengths, every[self.shown]])
 
     def errors(self, parameters: Array) -> Array:
+        """Return the errors (r,) of parameters, infinite where they are physically impossible."""
+        return self.errors_of(self.model(parameters))
+
+    def errors_of(self, model: LearnedModel) -> Array:
         """Return the errors (r,) of a model, infinite where it is physically impossible."""
-        model = self.model(parameters)
         plant = plant_of(model, self.grid.sample_time)
         if not plant_is_sound(plant):
             return np.array([np.inf])

@@ -38,6 +38,7 @@ MODEL_UNITS = {
     "tip_friction": "N m",
     "grasper_inertia": "kg m2",
     "load_onset": "N m",
+    "resting_part": "1",
     "stroke": "N m",
     "load": "1",
     "noise": "N m",
@@ -80,10 +81,13 @@ def shape_results(learned: LearnedModel) -> dict[str, Quantity]:
         zip(SLIDING_PARAMETERS, np.sqrt(np.diag(learned.covariance)).tolist(), strict=False)
     )
     relative["bearing_length"], relative["housing_length"] = learned.length_u.tolist()
-    return {
+    shape = asdict(learned.shape)
+    part = Quantity(shape.pop("resting_part"), "1", reason="what this filter reads best with")
+    found = {
         MODEL_PREFIX + name: Quantity(value, MODEL_UNITS[name], value * relative[name])
-        for name, value in asdict(learned.shape).items()
+        for name, value in shape.items()
     }
+    return found | {MODEL_PREFIX + "resting_part": part}
 
 
 def model_tables(model: ForceModel) -> dict[str, Table]:
@@ -177,7 +181,8 @@ def model_from(run: Run, recipe: Recipe) -> ForceModel:
                 *(table[name] for name in ("kind", "spread", "order", "quarter")), strict=True
             )
         )
-        shape = Shape(**{field.name: value(field.name) for field in fields(Shape)})
+        stored = [f.name for f in fields(Shape) if MODEL_PREFIX + f.name in run.results]
+        shape = Shape(**{name: value(name) for name in stored})
         lengths = [run.result(MODEL_PREFIX + f"{name}_length") for name in ("bearing", "housing")]
         covariance = run.table(COVARIANCE)["covariance"]
         learned = LearnedModel(

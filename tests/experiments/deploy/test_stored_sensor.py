@@ -43,7 +43,7 @@ COEFFICIENTS = {
 LIMITS = np.array([[1e-3, 4.0], [np.inf, np.inf], [8e-3, 6.0]])
 """A motion of which too little was recorded has no threshold."""
 
-SHAPE = Shape(2e-3, 8e-3, 5e-3, 0.3, 0.05, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3)
+SHAPE = Shape(2e-3, 8e-3, 5e-3, 0.3, 0.05, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3, 0.8)
 
 
 def force_model(rig):
@@ -59,13 +59,14 @@ def force_model(rig):
     return ForceModel(learned, Deviations(3e-4, 1e-3, 1e-4, 0.15))
 
 
-def learned_run(path, *overrides):
+def learned_run(path, *overrides, without=None):
     """Write a run of implementation D that holds a force model and no recordings."""
     recipe, text = load_recipe(RECIPE, overrides)
     scales = np.stack([SCALES[::-1], SCALES])
     model = replace(force_model(recipe.rig), scales=scales, limits=LIMITS)
     with RunWriter(path, command="ilc-learn", recipe=recipe, recipe_text=text) as writer:
-        writer.finish(model_results(model), model_tables(model))
+        results = {name: one for name, one in model_results(model).items() if name != without}
+        writer.finish(results, model_tables(model))
     return path
 
 
@@ -103,11 +104,17 @@ def test_the_sensor_of_a_run_reads_what_python_reads(tables, kt, tmp_path):
     recipe, model = tables.recipe, model_from(tables, tables.recipe)
     np.testing.assert_array_equal(model.scales, [SCALES[::-1], SCALES])
     np.testing.assert_array_equal(model.limits, LIMITS)
+    assert model.learned.shape == SHAPE
     own = instrument_of(recipe, kt, model, reach_of(tables, kt, recipe), recipe.rig.sample_time)
     wanted = expected(own, samples)
     found = compiled(tmp_path, text).add(samples)
     assert np.isfinite(wanted).mean() > 0.5
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * own.reach.torque)
+
+
+def test_tables_without_a_length_at_rest_have_the_whole_bristle_there(tmp_path):
+    with open_run(learned_run(tmp_path / "d.h5", without="model_resting_part")) as run:
+        assert model_from(run, run.recipe).learned.shape == replace(SHAPE, resting_part=1.0)
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler cc")
