@@ -207,16 +207,17 @@ def _solve(stairs: Stairs, common: Common, coefficient: float, rise: Array) -> _
     warmed = _LeastSquares(stairs.torque, [current, current * heat / size, *own], shared)
     loss, loss_u, loss_dof = _heat_loss(stairs, warmed)
     current = current * (1 - loss * heat / size)
-    fit = _LeastSquares(stairs.torque, [current, *own], shared)
-    lacking, first, first_u = _bend(stairs, fit, current, own, shared)
-    dof = int(stairs.weight.sum()) - fit.parameters
-    sigma = math.sqrt(float(np.sum(fit.residual**2)) / dof)
+    bend, first, first_u, u, dof = _bend(stairs, current, own, shared)
+    top = float(np.max(np.abs(current)))
+    level = stairs.torque - bend[:, None] * current * np.abs(current)
+    fit = _LeastSquares(level, [current, *own], shared)
     share = float(np.mean(np.sum(fit.inverse[:, 0] * current * heat / size, axis=1)))
+    slope = fit.own[:, 0] + top * bend
     return _Solution(
-        slope=fit.own[:, 0] + lacking,
+        slope=slope,
         first=first,
         first_u=first_u,
-        u=sigma * np.sqrt(np.sum(fit.inverse[:, 0] ** 2, axis=1)),
+        u=u,
         dof=dof,
         temperature=temperature,
         heating=loss * share,
@@ -225,26 +226,45 @@ def _solve(stairs: Stairs, common: Common, coefficient: float, rise: Array) -> _
         loss=loss,
         loss_u=loss_u,
         fit=fit,
-        off_line=stairs.torque - current * fit.own[:, :1] - stairs.weight * fit.own[:, 1:2],
+        off_line=stairs.torque - current * slope[:, None] - stairs.weight * fit.own[:, 1:2],
     )
 
 
 def _bend(
-    stairs: Stairs, fit: _LeastSquares, current: Array, own: list[Array], shared: list[Array]
-) -> tuple[Array, Array, Array]:
-    """Return what lacks the fitted slopes (m,) of those from zero to the largest current, N m/A,
-    the slopes where the current is small, and the standard uncertainty of these by scatter.
+    stairs: Stairs, current: Array, own: list[Array], shared: list[Array]
+) -> tuple[Array, Array, Array, Array, int]:
+    """Return by how much each staircase is bent more than the mean of all (m,), N m/A2, the slopes
+    where the current is small, their standard uncertainty by scatter, that of the slopes from zero
+    to the largest current, and its degrees of freedom.
 
-    Ripple that grows with the current bends a staircase, as i |i|. Of that the fit takes the slope
-    that its columns leave, up to some per cent off. Over all angles the bend is zero on average.
+    Ripple that grows with the current bends a staircase, as i |i|, by an amount of each angle: it
+    is no scatter. Over all angles it is zero on average.
     """
     curved, top = current * np.abs(current), float(np.max(np.abs(current)))
     bent = _LeastSquares(stairs.torque, [current, curved, *own], shared)
-    bend, dof = bent.own[:, 1], max(int(stairs.weight.sum()) - bent.parameters, 1)
-    sigma = math.sqrt(float(np.sum(bent.residual**2)) / dof)
-    taken = np.sum(fit.inverse[:, 0] * curved, axis=1)
-    lacking: Array = (top - taken) * (bend - bend.mean())
-    return lacking, bent.own[:, 0], sigma * np.sqrt(np.sum(bent.inverse[:, 0] ** 2, axis=1))
+    sigma, dof = _scatter(stairs, bent)
+    first = sigma * np.sqrt(np.sum(bent.inverse[:, 0] ** 2, axis=1))
+    inverse = np.linalg.pinv(np.stack([current, *own], axis=2))[:, 0]
+    taken = np.sum(inverse * curved, axis=1)
+    to_top = inverse + (top - taken)[:, None] * bent.inverse[:, 1]
+    u = sigma * np.sqrt(np.sum(to_top**2, axis=1))
+    return bent.own[:, 1] - bent.own[:, 1].mean(), bent.own[:, 0], first, u, dof
+
+
+def _scatter(stairs: Stairs, fit: _LeastSquares) -> tuple[float, int]:
+    """Return by how much torques differ beyond what all staircases of a kind have in common, N m,
+    and the degrees of freedom. What they have in common is lack of fit, stated on its own."""
+    square, free = 0.0, 0.0
+    for number in range(int(stairs.courses.kind.max()) + 1):
+        those = stairs.courses.kind == number
+        own = fit.residual[those] - fit.residual[those].mean(axis=0)
+        square += float(np.sum(own**2))
+        each = stairs.weight[those][0].sum() - fit.own.shape[1]
+        free += (np.count_nonzero(those) - 1) * float(each)
+    if free < 1:
+        square = float(np.sum(fit.residual**2))
+        free = max(float(stairs.weight.sum()) - fit.parameters, 1.0)
+    return math.sqrt(square / free), int(free)
 
 
 class _LeastSquares:
