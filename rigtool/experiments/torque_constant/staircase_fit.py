@@ -57,9 +57,10 @@ class Slopes:
     standard uncertainty from scatter and `lasting_heating_spread` that from tau; `friction_u` the
     relative standard uncertainty from the model of friction with `friction_dof`, `friction_share`
     the relative part by which friction changes a straight line's slope; `resolution_u` that from
-    the resolution of the gauge; `trend_u` in N m/(A K) is what both give a change with temperature.
+    the resolution of the gauge, `rounding` (places, m) in N m/A what it adds to each slope with the
+    gauge's zero at some places within its step; `trend_u` in N m/(A K) is what both give a change with temperature.
     `transition` is s of (1) in N m (None where no friction shows), `exponent` that of its law,
-    `time_constant` tau in s. `level` (l,) in A, `rising` and `falling` (l,) in N m: torque minus
+    `time_constant` tau in s; `span` is that of the torque, N m. `level` (l,) in A, `rising` and `falling` (l,) in N m: torque minus
     the straight line, mean over staircases; `hysteresis` in N m: falling minus
     rising in the middle of the span, `hysteresis_u` its standard uncertainty with `hysteresis_dof`.
     """
@@ -84,10 +85,12 @@ class Slopes:
     friction_dof: float
     friction_share: float
     resolution_u: float
+    rounding: Array
     trend_u: float
     transition: float | None
     exponent: float
     time_constant: float
+    span: float
     level: Array
     rising: Array
     falling: Array
@@ -112,18 +115,24 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     hypotheses = weigh_hypotheses(stairs, coefficient, trend)
     stairs = hypotheses.stairs
     solution = _solve(stairs, hypotheses.best, coefficient, rise)
+    changes = [
+        float(trend @ _solve(stairs, common, coefficient, rise).slope) for common in hypotheses.some
+    ]
+    change = float(np.mean(changes)) - float(trend @ solution.slope)
     constant = hypotheses.constant
     lasting = solution.loss * hypotheses.best.warming()
     share = abs(straight_slope(stairs) / constant - 1 + solution.heating)
-    u, dof = _lack_of_fit(stairs, solution, average)
-    trend_u, _ = _lack_of_fit(stairs, solution, trend)
+    rounding = _rounding_errors(stairs, solution.fit)
+    resolution_u, trend_resolution_u = (_rms(rounding @ each) for each in (average, trend))
+    u, dof = _lack_of_fit(stairs, solution, average, resolution_u)
+    trend_u = _trend_scatter(stairs, solution, trend, trend_resolution_u)
     require_straight(stairs, solution.slope, solution.u, solution.fit.residual, solution.off_line)
     level, rising, falling = branches(stairs, solution.off_line)
     bent, bent_u = deflection(stairs)
     difference, hysteresis_u, hysteresis_dof = hysteresis(stairs, solution.off_line)
     return Slopes(
         # Single staircases differ from their mean; what the mean is, all hypotheses say.
-        slope=solution.slope + (constant - float(np.mean(solution.slope))),
+        slope=solution.slope + (constant - float(np.mean(solution.slope))) + change * rise,
         first=solution.first,
         first_u=solution.first_u,
         zero=solution.fit.own[:, 1],
@@ -146,11 +155,13 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         friction_u=math.hypot(u, hypotheses.spread) / constant,
         friction_dof=dof,
         friction_share=share,
-        resolution_u=_rounding(stairs, solution, average) / constant,
-        trend_u=math.hypot(trend_u, hypotheses.drift, _rounding(stairs, solution, trend)),
+        resolution_u=resolution_u / constant,
+        rounding=rounding,
+        trend_u=math.hypot(trend_u, float(np.std(changes)), trend_resolution_u),
         transition=hypotheses.best.transition,
         exponent=hypotheses.best.exponent,
         time_constant=hypotheses.best.time_constant,
+        span=float(np.ptp(stairs.courses.torque)),
         level=level,
         rising=rising,
         falling=falling,
@@ -275,12 +286,17 @@ class _LeastSquares:
         columns, common = np.stack(own, axis=2), np.stack(shared, axis=2)
         self.inverse = np.linalg.pinv(columns)  # (m, c, p)
         self._shared, self._free = common, common - columns @ (self.inverse @ common)
-        flat = self._free.reshape(-1, common.shape[2])
-        self._normal = np.linalg.pinv(flat.T @ flat, hermitian=True)
-        rest = torque - common @ (self._normal @ (flat.T @ torque.ravel()))
-        self.own = np.einsum("mcp,mp->mc", self.inverse, rest)
+        normal = np.einsum("mpc,mpd->cd", self._free, self._free)
+        self._normal = np.linalg.pinv(normal, hermitian=True)
+        self.own, rest = self.solve(torque)
         self.residual = rest - np.einsum("mpc,mc->mp", columns, self.own)
         self.parameters = self.own.size + common.shape[2]
+
+    def solve(self, torque: Array) -> tuple[Array, Array]:
+        """Return coefficients (m, c) of each staircase, and torques (m, p) less what is shared."""
+        shared = self._normal @ np.einsum("mpc,mp->c", self._free, torque)
+        rest = torque - self._shared @ shared
+        return np.einsum("mcp,mp->mc", self.inverse, rest), rest
 
     def response(self, weight: Array) -> Array:
         """Return what each torque (m, p) adds to the sum of slopes weighted by (m,)."""
@@ -311,10 +327,17 @@ def _heat_loss(stairs: Stairs, warmed: _LeastSquares) -> tuple[float, float, flo
     return loss, math.hypot(u, mean.value - loss), freedom
 
 
-def _lack_of_fit(stairs: Stairs, solution: _Solution, weight: Array) -> tuple[float, float]:
+def _rms(values: Array) -> float:
+    return math.sqrt(float(np.mean(values**2)))
+
+
+def _lack_of_fit(
+    stairs: Stairs, solution: _Solution, weight: Array, rounding_u: float
+) -> tuple[float, float]:
     """Return the u that lack of fit gives a combination of slopes, N m/A, and its dof.
 
-    `weight` (m,) combines the staircases. The common part of their residuals is correlated from
+    `weight` (m,) combines the staircases, `rounding_u` N m/A is what the gauge's resolution gives.
+    The common part of their residuals is correlated from
     plateau to plateau along the staircase, as the covariance assumes. What scatter of each
     staircase and resolution of the gauge explain is taken off: it is stated on its own.
     """
@@ -323,17 +346,33 @@ def _lack_of_fit(stairs: Stairs, solution: _Solution, weight: Array) -> tuple[fl
     used = np.mean(stairs.weight, axis=0) > 0
     independent = independent_samples(combined, used, 1)
     covariance, dof = long_run_covariance(fit.design, combined, independent)
-    own = float(np.sum((weight * solution.u) ** 2)) + _rounding(stairs, solution, weight) ** 2
+    own = float(np.sum((weight * solution.u) ** 2)) + rounding_u**2
     return math.sqrt(max(float(covariance[0, 0]) - own, 0.0)), float(dof)
 
 
-def _rounding(stairs: Stairs, solution: _Solution, weight: Array) -> float:
-    """Return the u that the gauge's resolution gives a combination of slopes, N m/A.
+def _trend_scatter(stairs: Stairs, solution: _Solution, trend: Array, rounding_u: float) -> float:
+    """Return the u that scatter gives a change of slopes with temperature, N m/(A K), as friction
+    may change, too: beyond that of single slopes and the gauge's resolution, stated on their own.
+
+    `trend` (m,) combines the staircases. Residuals are correlated along the staircase.
+    """
+    fit, used = solution.fit, np.mean(stairs.weight, axis=0) > 0
+    residual = (trend @ fit.residual)[used]
+    independent = independent_samples(residual, np.full(len(residual), True), 1)
+    free = max(len(residual) - fit.design.shape[1], 1) * independent / len(residual)
+    single = float(residual @ residual) / free / max(float(trend @ trend), 1e-300)
+    square = single * float(np.sum(fit.response(trend) ** 2))
+    own = float(np.sum((trend * solution.u) ** 2)) + rounding_u**2
+    return math.sqrt(max(square - own, 0.0))
+
+
+def _rounding_errors(stairs: Stairs, fit: _LeastSquares) -> Array:
+    """Return what the gauge's resolution adds to each slope, (`GAUGE_PHASES`, m) N m/A.
 
     Readings are rounded alike wherever the torque is the same, so that their errors do not average
     out as scatter does. The fitted torque is rounded with its zero at `GAUGE_PHASES` places within
-    one step of the gauge, and the error of the combination taken from the readings' errors. Noise
-    of standard deviation sigma before rounding leaves a mean error of
+    one step of the gauge, and the slopes taken from the readings' errors. Noise of standard
+    deviation sigma before rounding leaves a mean error of
 
         sum over k of (-1)^k q/(pi k) sin(2 pi k x/q) exp(-2 (pi k sigma/q)^2)
 
@@ -341,17 +380,17 @@ def _rounding(stairs: Stairs, solution: _Solution, weight: Array) -> float:
     """
     q = stairs.resolution
     if q == 0:
-        return 0.0
+        return np.zeros((1, len(stairs.torque)))
     # The scatter of rounded readings of little noise is sigma q/sqrt(pi); of much, sigma2 + q2/12.
     square = stairs.noise**2
     little = square < q**2 / 6
     sigma = math.sqrt(math.pi) * square / q if little else math.sqrt(square - q**2 / 12)
-    fitted, response = stairs.torque - solution.fit.residual, solution.fit.response(weight)
-    errors = []
+    fitted = stairs.torque - fit.residual
+    slopes = []
     for phase in np.arange(GAUGE_PHASES) / GAUGE_PHASES:
         error = np.zeros(fitted.shape)
         for k in range(1, 6):
             left = math.exp(-2 * (math.pi * k * sigma / q) ** 2)
             error += (-1) ** k * left / k * np.sin(2 * np.pi * k * (fitted / q + phase))
-        errors.append(float(np.sum(response * error)) * q / math.pi)
-    return float(np.sqrt(np.mean(np.square(errors))))
+        slopes.append(fit.solve(error * stairs.weight * q / math.pi)[0][:, 0])
+    return np.stack(slopes)
