@@ -68,9 +68,6 @@ FINER_GRIDS = 3
 SHORTER_LAG = 12.0
 """Ratio of the longest lag of the arm's swings to the shortest."""
 
-SAMPLE = 12
-"""Hypotheses by which a change with temperature is judged."""
-
 FEWEST_RESIDUALS = 4.0
 """Fewest independent residuals that are assumed."""
 
@@ -80,8 +77,8 @@ class Hypotheses:
     """The most probable hypothesis, and what all of them do to the torque constants.
 
     `stairs` have courses without noise. `constant` in N m/A is the mean of all hypotheses on the
-    mean staircases, `spread` their standard deviation; `some` stand for all, each as
-    probable as the others. `heat_loss` in 1/A2 is the mean of the relative loss of the constant
+    mean staircases, `spread` their standard deviation, `drift` in N m/(A K) that of the constants'
+    change with temperature. `heat_loss` in 1/A2 is the mean of the relative loss of the constant
     within `HEATING_TIME`, over the square of the current, `heat_loss_spread` its standard
     deviation; `untried` is the relative standard uncertainty of that, as tau is tried in steps.
     """
@@ -90,7 +87,7 @@ class Hypotheses:
     best: Common
     constant: float
     spread: float
-    some: tuple[Common, ...]
+    drift: float
     heat_loss: float
     heat_loss_spread: float
     untried: float
@@ -126,19 +123,11 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
         best,
         constant=float(mean[0]),
         spread=float(spread[0]),
-        some=_sample(tried.commons, tried.slope[:, 1], probable),
+        drift=float(spread[1]),
         heat_loss=float(mean[2]),
         heat_loss_spread=float(spread[2]),
         untried=_untried(best, length),
     )
-
-
-def _sample(commons: list[Common], change: Array, probable: Array) -> tuple[Common, ...]:
-    """Return hypotheses of equal probability, at equal distances in the order of a result (n,)."""
-    order = np.argsort(change)
-    level = (np.arange(SAMPLE) + 0.5) / SAMPLE
-    place = np.searchsorted(np.cumsum(probable[order]), level)
-    return tuple(commons[order[min(number, len(order) - 1)]] for number in place.tolist())
 
 
 def _untried(best: Common, length: float) -> float:

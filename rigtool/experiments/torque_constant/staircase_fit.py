@@ -58,11 +58,12 @@ class Slopes:
     relative standard uncertainty from the model of friction with `friction_dof`, `friction_share`
     the relative part by which friction changes a straight line's slope; `resolution_u` that from
     the resolution of the gauge, `rounding` (places, m) in N m/A what it adds to each slope with the
-    gauge's zero at some places within its step; `trend_u` in N m/(A K) is what both give a change with temperature.
-    `transition` is s of (1) in N m (None where no friction shows), `exponent` that of its law,
-    `time_constant` tau in s; `span` is that of the torque, N m. `level` (l,) in A, `rising` and `falling` (l,) in N m: torque minus
-    the straight line, mean over staircases; `hysteresis` in N m: falling minus
-    rising in the middle of the span, `hysteresis_u` its standard uncertainty with `hysteresis_dof`.
+    gauge's zero at some places within its step; `trend_u` in N m/(A K) is what both give a change
+    with temperature. `transition` is s of (1) in N m (None where no friction shows), `exponent`
+    that of its law, `time_constant` tau in s; `span` is that of the torque, N m. `level` (l,) in A,
+    `rising` and `falling` (l,) in N m: torque minus the straight line, mean over staircases;
+    `hysteresis` in N m: falling minus rising in the middle of the span, `hysteresis_u` its standard
+    uncertainty with `hysteresis_dof`.
     """
 
     slope: Array
@@ -115,10 +116,6 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     hypotheses = weigh_hypotheses(stairs, coefficient, trend)
     stairs = hypotheses.stairs
     solution = _solve(stairs, hypotheses.best, coefficient, rise)
-    changes = [
-        float(trend @ _solve(stairs, common, coefficient, rise).slope) for common in hypotheses.some
-    ]
-    change = float(np.mean(changes)) - float(trend @ solution.slope)
     constant = hypotheses.constant
     lasting = solution.loss * hypotheses.best.warming()
     share = abs(straight_slope(stairs) / constant - 1 + solution.heating)
@@ -132,7 +129,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     difference, hysteresis_u, hysteresis_dof = hysteresis(stairs, solution.off_line)
     return Slopes(
         # Single staircases differ from their mean; what the mean is, all hypotheses say.
-        slope=solution.slope + (constant - float(np.mean(solution.slope))) + change * rise,
+        slope=solution.slope + (constant - float(np.mean(solution.slope))),
         first=solution.first,
         first_u=solution.first_u,
         zero=solution.fit.own[:, 1],
@@ -157,7 +154,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         friction_share=share,
         resolution_u=resolution_u / constant,
         rounding=rounding,
-        trend_u=math.hypot(trend_u, float(np.std(changes)), trend_resolution_u),
+        trend_u=math.hypot(trend_u, hypotheses.drift, trend_resolution_u),
         transition=hypotheses.best.transition,
         exponent=hypotheses.best.exponent,
         time_constant=hypotheses.best.time_constant,
