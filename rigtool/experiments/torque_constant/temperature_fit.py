@@ -38,10 +38,10 @@ from rigtool.quantity import (
     input_line,
 )
 
-PATH_U, TREND_U = 0.3, 0.2
+PATH_U, TREND_U = 0.3, 0.29
 """What no law of one exponent shows, since friction changes the path that it follows: standard
 uncertainty of a slope, times the squared part that friction takes of it, and of the change of that
-part with temperature, relative."""
+part with temperature, relative: that is up to 0.5 (a rectangular distribution, GUM 4.3.7)."""
 
 RIPPLE_PATH_U = 0.25
 """Standard uncertainty of what friction takes of the ripple, relative: its path follows each
