@@ -57,11 +57,13 @@ class Slopes:
     standard uncertainty from scatter and `lasting_heating_spread` that from tau; `friction_u` the
     relative standard uncertainty from the model of friction with `friction_dof`, `friction_share`
     the relative part by which friction changes a straight line's slope; `resolution_u` that from
-    the resolution of the gauge; `trend_u` in N m/(A K) is what both give a change with temperature.
-    `transition` is s of (1) in N m (None where no friction shows), `exponent` that of its law,
-    `time_constant` tau in s. `level` (l,) in A, `rising` and `falling` (l,) in N m: torque minus
-    the straight line, mean over staircases; `hysteresis` in N m: falling minus
-    rising in the middle of the span, `hysteresis_u` its standard uncertainty with `hysteresis_dof`.
+    the resolution of the gauge, `rounding` (places, m) in N m/A what it adds to each slope with the
+    gauge's zero at some places within its step; `trend_u` in N m/(A K) is what both give a change
+    with temperature. `transition` is s of (1) in N m (None where no friction shows), `exponent`
+    that of its law, `time_constant` tau in s; `span` is that of the torque, N m. `level` (l,) in A,
+    `rising` and `falling` (l,) in N m: torque minus the straight line, mean over staircases;
+    `hysteresis` in N m: falling minus rising in the middle of the span, `hysteresis_u` its standard
+    uncertainty with `hysteresis_dof`.
     """
 
     slope: Array
@@ -84,10 +86,12 @@ class Slopes:
     friction_dof: float
     friction_share: float
     resolution_u: float
+    rounding: Array
     trend_u: float
     transition: float | None
     exponent: float
     time_constant: float
+    span: float
     level: Array
     rising: Array
     falling: Array
@@ -115,8 +119,10 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     constant = hypotheses.constant
     lasting = solution.loss * hypotheses.best.warming()
     share = abs(straight_slope(stairs) / constant - 1 + solution.heating)
-    u, dof = _lack_of_fit(stairs, solution, average)
-    trend_u, _ = _lack_of_fit(stairs, solution, trend)
+    rounding = _rounding_errors(stairs, solution.fit)
+    resolution_u, trend_resolution_u = (_rms(rounding @ each) for each in (average, trend))
+    u, dof = _lack_of_fit(stairs, solution, average, resolution_u)
+    trend_u = _trend_scatter(stairs, solution, trend, trend_resolution_u)
     require_straight(stairs, solution.slope, solution.u, solution.fit.residual, solution.off_line)
     level, rising, falling = branches(stairs, solution.off_line)
     bent, bent_u = deflection(stairs)
@@ -146,11 +152,13 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         friction_u=math.hypot(u, hypotheses.spread) / constant,
         friction_dof=dof,
         friction_share=share,
-        resolution_u=_rounding(stairs, solution, average) / constant,
-        trend_u=math.hypot(trend_u, hypotheses.drift, _rounding(stairs, solution, trend)),
+        resolution_u=resolution_u / constant,
+        rounding=rounding,
+        trend_u=math.hypot(trend_u, hypotheses.drift, trend_resolution_u),
         transition=hypotheses.best.transition,
         exponent=hypotheses.best.exponent,
         time_constant=hypotheses.best.time_constant,
+        span=float(np.ptp(stairs.courses.torque)),
         level=level,
         rising=rising,
         falling=falling,
@@ -207,16 +215,17 @@ def _solve(stairs: Stairs, common: Common, coefficient: float, rise: Array) -> _
     warmed = _LeastSquares(stairs.torque, [current, current * heat / size, *own], shared)
     loss, loss_u, loss_dof = _heat_loss(stairs, warmed)
     current = current * (1 - loss * heat / size)
-    fit = _LeastSquares(stairs.torque, [current, *own], shared)
-    lacking, first, first_u = _bend(stairs, fit, current, own, shared)
-    dof = int(stairs.weight.sum()) - fit.parameters
-    sigma = math.sqrt(float(np.sum(fit.residual**2)) / dof)
+    bend, first, first_u, u, dof = _bend(stairs, current, own, shared)
+    top = float(np.max(np.abs(current)))
+    level = stairs.torque - bend[:, None] * current * np.abs(current)
+    fit = _LeastSquares(level, [current, *own], shared)
     share = float(np.mean(np.sum(fit.inverse[:, 0] * current * heat / size, axis=1)))
+    slope = fit.own[:, 0] + top * bend
     return _Solution(
-        slope=fit.own[:, 0] + lacking,
+        slope=slope,
         first=first,
         first_u=first_u,
-        u=sigma * np.sqrt(np.sum(fit.inverse[:, 0] ** 2, axis=1)),
+        u=u,
         dof=dof,
         temperature=temperature,
         heating=loss * share,
@@ -225,26 +234,45 @@ def _solve(stairs: Stairs, common: Common, coefficient: float, rise: Array) -> _
         loss=loss,
         loss_u=loss_u,
         fit=fit,
-        off_line=stairs.torque - current * fit.own[:, :1] - stairs.weight * fit.own[:, 1:2],
+        off_line=stairs.torque - current * slope[:, None] - stairs.weight * fit.own[:, 1:2],
     )
 
 
 def _bend(
-    stairs: Stairs, fit: _LeastSquares, current: Array, own: list[Array], shared: list[Array]
-) -> tuple[Array, Array, Array]:
-    """Return what lacks the fitted slopes (m,) of those from zero to the largest current, N m/A,
-    the slopes where the current is small, and the standard uncertainty of these by scatter.
+    stairs: Stairs, current: Array, own: list[Array], shared: list[Array]
+) -> tuple[Array, Array, Array, Array, int]:
+    """Return by how much each staircase is bent more than the mean of all (m,), N m/A2, the slopes
+    where the current is small, their standard uncertainty by scatter, that of the slopes from zero
+    to the largest current, and its degrees of freedom.
 
-    Ripple that grows with the current bends a staircase, as i |i|. Of that the fit takes the slope
-    that its columns leave, up to some per cent off. Over all angles the bend is zero on average.
+    Ripple that grows with the current bends a staircase, as i |i|, by an amount of each angle: it
+    is no scatter. Over all angles it is zero on average.
     """
     curved, top = current * np.abs(current), float(np.max(np.abs(current)))
     bent = _LeastSquares(stairs.torque, [current, curved, *own], shared)
-    bend, dof = bent.own[:, 1], max(int(stairs.weight.sum()) - bent.parameters, 1)
-    sigma = math.sqrt(float(np.sum(bent.residual**2)) / dof)
-    taken = np.sum(fit.inverse[:, 0] * curved, axis=1)
-    lacking: Array = (top - taken) * (bend - bend.mean())
-    return lacking, bent.own[:, 0], sigma * np.sqrt(np.sum(bent.inverse[:, 0] ** 2, axis=1))
+    sigma, dof = _scatter(stairs, bent)
+    first = sigma * np.sqrt(np.sum(bent.inverse[:, 0] ** 2, axis=1))
+    inverse = np.linalg.pinv(np.stack([current, *own], axis=2))[:, 0]
+    taken = np.sum(inverse * curved, axis=1)
+    to_top = inverse + (top - taken)[:, None] * bent.inverse[:, 1]
+    u = sigma * np.sqrt(np.sum(to_top**2, axis=1))
+    return bent.own[:, 1] - bent.own[:, 1].mean(), bent.own[:, 0], first, u, dof
+
+
+def _scatter(stairs: Stairs, fit: _LeastSquares) -> tuple[float, int]:
+    """Return by how much torques differ beyond what all staircases of a kind have in common, N m,
+    and the degrees of freedom. What they have in common is lack of fit, stated on its own."""
+    square, free = 0.0, 0.0
+    for number in range(int(stairs.courses.kind.max()) + 1):
+        those = stairs.courses.kind == number
+        own = fit.residual[those] - fit.residual[those].mean(axis=0)
+        square += float(np.sum(own**2))
+        each = stairs.weight[those][0].sum() - fit.own.shape[1]
+        free += (np.count_nonzero(those) - 1) * float(each)
+    if free < 1:
+        square = float(np.sum(fit.residual**2))
+        free = max(float(stairs.weight.sum()) - fit.parameters, 1.0)
+    return math.sqrt(square / free), int(free)
 
 
 class _LeastSquares:
@@ -255,12 +283,17 @@ class _LeastSquares:
         columns, common = np.stack(own, axis=2), np.stack(shared, axis=2)
         self.inverse = np.linalg.pinv(columns)  # (m, c, p)
         self._shared, self._free = common, common - columns @ (self.inverse @ common)
-        flat = self._free.reshape(-1, common.shape[2])
-        self._normal = np.linalg.pinv(flat.T @ flat, hermitian=True)
-        rest = torque - common @ (self._normal @ (flat.T @ torque.ravel()))
-        self.own = np.einsum("mcp,mp->mc", self.inverse, rest)
+        normal = np.einsum("mpc,mpd->cd", self._free, self._free)
+        self._normal = np.linalg.pinv(normal, hermitian=True)
+        self.own, rest = self.solve(torque)
         self.residual = rest - np.einsum("mpc,mc->mp", columns, self.own)
         self.parameters = self.own.size + common.shape[2]
+
+    def solve(self, torque: Array) -> tuple[Array, Array]:
+        """Return coefficients (m, c) of each staircase, and torques (m, p) less what is shared."""
+        shared = self._normal @ np.einsum("mpc,mp->c", self._free, torque)
+        rest = torque - self._shared @ shared
+        return np.einsum("mcp,mp->mc", self.inverse, rest), rest
 
     def response(self, weight: Array) -> Array:
         """Return what each torque (m, p) adds to the sum of slopes weighted by (m,)."""
@@ -291,10 +324,17 @@ def _heat_loss(stairs: Stairs, warmed: _LeastSquares) -> tuple[float, float, flo
     return loss, math.hypot(u, mean.value - loss), freedom
 
 
-def _lack_of_fit(stairs: Stairs, solution: _Solution, weight: Array) -> tuple[float, float]:
+def _rms(values: Array) -> float:
+    return math.sqrt(float(np.mean(values**2)))
+
+
+def _lack_of_fit(
+    stairs: Stairs, solution: _Solution, weight: Array, rounding_u: float
+) -> tuple[float, float]:
     """Return the u that lack of fit gives a combination of slopes, N m/A, and its dof.
 
-    `weight` (m,) combines the staircases. The common part of their residuals is correlated from
+    `weight` (m,) combines the staircases, `rounding_u` N m/A is what the gauge's resolution gives.
+    The common part of their residuals is correlated from
     plateau to plateau along the staircase, as the covariance assumes. What scatter of each
     staircase and resolution of the gauge explain is taken off: it is stated on its own.
     """
@@ -303,17 +343,33 @@ def _lack_of_fit(stairs: Stairs, solution: _Solution, weight: Array) -> tuple[fl
     used = np.mean(stairs.weight, axis=0) > 0
     independent = independent_samples(combined, used, 1)
     covariance, dof = long_run_covariance(fit.design, combined, independent)
-    own = float(np.sum((weight * solution.u) ** 2)) + _rounding(stairs, solution, weight) ** 2
+    own = float(np.sum((weight * solution.u) ** 2)) + rounding_u**2
     return math.sqrt(max(float(covariance[0, 0]) - own, 0.0)), float(dof)
 
 
-def _rounding(stairs: Stairs, solution: _Solution, weight: Array) -> float:
-    """Return the u that the gauge's resolution gives a combination of slopes, N m/A.
+def _trend_scatter(stairs: Stairs, solution: _Solution, trend: Array, rounding_u: float) -> float:
+    """Return the u that scatter gives a change of slopes with temperature, N m/(A K), as friction
+    may change, too: beyond that of single slopes and the gauge's resolution, stated on their own.
+
+    `trend` (m,) combines the staircases. Residuals are correlated along the staircase.
+    """
+    fit, used = solution.fit, np.mean(stairs.weight, axis=0) > 0
+    residual = (trend @ fit.residual)[used]
+    independent = independent_samples(residual, np.full(len(residual), True), 1)
+    free = max(len(residual) - fit.design.shape[1], 1) * independent / len(residual)
+    single = float(residual @ residual) / free / max(float(trend @ trend), 1e-300)
+    square = single * float(np.sum(fit.response(trend) ** 2))
+    own = float(np.sum((trend * solution.u) ** 2)) + rounding_u**2
+    return math.sqrt(max(square - own, 0.0))
+
+
+def _rounding_errors(stairs: Stairs, fit: _LeastSquares) -> Array:
+    """Return what the gauge's resolution adds to each slope, (`GAUGE_PHASES`, m) N m/A.
 
     Readings are rounded alike wherever the torque is the same, so that their errors do not average
     out as scatter does. The fitted torque is rounded with its zero at `GAUGE_PHASES` places within
-    one step of the gauge, and the error of the combination taken from the readings' errors. Noise
-    of standard deviation sigma before rounding leaves a mean error of
+    one step of the gauge, and the slopes taken from the readings' errors. Noise of standard
+    deviation sigma before rounding leaves a mean error of
 
         sum over k of (-1)^k q/(pi k) sin(2 pi k x/q) exp(-2 (pi k sigma/q)^2)
 
@@ -321,17 +377,17 @@ def _rounding(stairs: Stairs, solution: _Solution, weight: Array) -> float:
     """
     q = stairs.resolution
     if q == 0:
-        return 0.0
+        return np.zeros((1, len(stairs.torque)))
     # The scatter of rounded readings of little noise is sigma q/sqrt(pi); of much, sigma2 + q2/12.
     square = stairs.noise**2
     little = square < q**2 / 6
     sigma = math.sqrt(math.pi) * square / q if little else math.sqrt(square - q**2 / 12)
-    fitted, response = stairs.torque - solution.fit.residual, solution.fit.response(weight)
-    errors = []
+    fitted = stairs.torque - fit.residual
+    slopes = []
     for phase in np.arange(GAUGE_PHASES) / GAUGE_PHASES:
         error = np.zeros(fitted.shape)
         for k in range(1, 6):
             left = math.exp(-2 * (math.pi * k * sigma / q) ** 2)
             error += (-1) ** k * left / k * np.sin(2 * np.pi * k * (fitted / q + phase))
-        errors.append(float(np.sum(response * error)) * q / math.pi)
-    return float(np.sqrt(np.mean(np.square(errors))))
+        slopes.append(fit.solve(error * stairs.weight * q / math.pi)[0][:, 0])
+    return np.stack(slopes)

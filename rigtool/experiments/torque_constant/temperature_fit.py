@@ -38,12 +38,12 @@ from rigtool.quantity import (
     input_line,
 )
 
-PATH_U, TREND_U = 0.3, 0.2
+PATH_U, TREND_U = 0.3, 0.29
 """What no law of one exponent shows, since friction changes the path that it follows: standard
 uncertainty of a slope, times the squared part that friction takes of it, and of the change of that
-part with temperature, relative."""
+part with temperature, relative: that is up to 0.5 (a rectangular distribution, GUM 4.3.7)."""
 
-RIPPLE_PATH_U = 0.4
+RIPPLE_PATH_U = 0.25
 """Standard uncertainty of what friction takes of the ripple, relative: its path follows each
 staircase, from the torque with which it begins, and of its law only the mean of all is known."""
 
@@ -268,26 +268,37 @@ def _ripple(found: AngleEffects, value: float, slopes: Slopes, *, known: bool) -
     of it: it is added. The arm's deflection d acts in two ways, since the angle changes with the
     torque within a staircase: order k of the ripple is turned by k d, its size changes by up to
     `SMEARED` (k d)2; and order k of the torque without current adds k d of that over the largest
-    current, which is taken off. The gauge rounds each staircase by its own zero.
+    current, which is taken off. The gauge rounds
+    each staircase by its own zero: `Slopes.rounding` is what that adds to the slopes.
     """
     order = np.repeat(np.arange(1, len(found.amplitudes) // 2 + 1), 2)
     carried, left, begin = _carried(slopes) if known else (np.zeros(len(order)), 0.0, 0.0)
     square = found.amplitudes**2
     own = found.deviation**2 + float(np.sum((found.amplitudes - carried) ** 2 - square)) / 2
-    deviation = math.sqrt(max(own, 0.0)) * (1 + slopes.friction_share)
+    deviation = math.sqrt(max(own, 0.0)) * (1 + _slid(slopes) * slopes.friction_share)
     angle = math.hypot(slopes.deflection, slopes.deflection_u)
     turned = float(np.sum(square * (order * angle) ** 2) / max(np.sum(square), 1e-300))
     path = math.hypot(deviation, begin) * RIPPLE_PATH_U * slopes.friction_share
     smear = deviation * SMEARED * turned
     more = math.hypot(deviation, left) - deviation  # of phases that have nothing in common
-    rounding = value * slopes.resolution_u
+    effect = found.effect - np.mean(found.effect)
+    errors = slopes.rounding - slopes.rounding.mean(axis=1, keepdims=True)
+    rounding = np.std(effect + errors, axis=1) - np.std(effect)
     lines = [
         error_line("scatter", found.deviation_u / value, "1", found.deviation_dof),
         error_line("path of friction", path / value, "1"),
         error_line("deflection of the arm", math.hypot(smear, more, ALIKE * left) / value, "1"),
-        error_line("gauge resolution", rounding / value, "1"),
+        error_line("gauge resolution", math.sqrt(float(np.mean(rounding**2))) / value, "1"),
     ]
     return combined(deviation / value, "1", lines)
+
+
+def _slid(slopes: Slopes) -> float:
+    """Return the part of its way for which friction slides in a staircase: contacts that only bend
+    take the same part of all slopes, which the fit gives back."""
+    if slopes.transition is None:
+        return 1.0
+    return -math.expm1(-slopes.span / slopes.transition)
 
 
 def _first_ripple(slopes: Slopes) -> Quantity:
