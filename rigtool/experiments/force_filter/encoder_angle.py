@@ -3,7 +3,9 @@
 An encoder that shows floor(angle / count) is exact at its edges. A recorded sample that is the mean
 of some samples of the loop keeps the instant of a single edge within it: the part of the samples
 behind the edge. Where edges follow each other faster, the mean itself, half a count up, is the
-angle at the middle. Between these points the angle is interpolated monotonically (F. N. Fritsch and
+angle at the middle. A rotor that turns within a count, between two passages of one edge, is half a
+count beyond that edge in the middle: as often more as less. Without that both ends of a stroke are
+up to a count short. Between these points the angle is interpolated monotonically (F. N. Fritsch and
 R. E. Carlson, SIAM J. Numer. Anal. 17(2) 238-246, 1980).
 """
 
@@ -61,5 +63,10 @@ def interpolated(encoder: Array, place: Array) -> Array:
     inside = (known > 0) & (known < len(encoder))
     known = np.concatenate([ends[:1], known[inside], ends[1:]])
     angle = np.concatenate([encoder[:1] + 0.5, angle[inside], encoder[-1:] + 0.5])
+    # A whole sample between two passages shows on which side of the edge the rotor turned
+    turned = np.flatnonzero((np.diff(angle) == 0) & (np.diff(known) >= 2))
+    middle = (known[turned] + known[turned + 1]) / 2
+    known = np.insert(known, turned + 1, middle)
+    angle = np.insert(angle, turned + 1, encoder[middle.astype(np.intp)] + 0.5)
     found: Array = PchipInterpolator(known, angle)(place)
     return found

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from rigtool.experiments.force_model.sliding_problem import (
     Problem,
     stepped_shape,
 )
+from rigtool.experiments.force_model.sliding_scatter import moments
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import STANDARD_GRAVITY
 
@@ -74,11 +76,12 @@ class LearnedModel:
 @dataclass(frozen=True, eq=False)
 class SlidingFit:
     """A model `learned` from sliding, and the `problem` with its normal equations there (records,
-    p + 1, p + 1), right-hand side last."""
+    p + 1, p + 1), right-hand side last; `count` rad is that of the encoder."""
 
     learned: LearnedModel
     problem: Problem
     normal: Array
+    count: float
 
     def learned_from(self, chosen: Sequence[bool]) -> LearnedModel:
         """Return the model that some of the records give, one step from that of all.
@@ -94,6 +97,24 @@ class SlidingFit:
             coefficient=solution[len(SLIDING_PARAMETERS) :],
             covariance=covariance,
         )
+
+    def covariance_of(self, model: LearnedModel, chosen: Sequence[bool]) -> Array:
+        """Return the covariance (p, p) of a model that `chosen` records give, see
+        `learned_from`, as their residuals are correlated (`sliding_scatter`)."""
+        own = self.problem
+        priors = np.concatenate([own.shape_spread, own.spread]) ** -2.0
+        found: Array = (
+            model.covariance
+            @ (np.diag(priors) + self.moments[np.asarray(chosen)].sum(axis=0))
+            @ model.covariance
+        )
+        return found
+
+    @cached_property
+    def moments(self) -> Array:
+        """Covariance of each record's right-hand side (records, p, p)."""
+        learned = self.learned
+        return moments(self.problem, learned.shape, learned.coefficient, self.count)
 
     def moved_by(self, records: Sequence[Record], known: Known) -> Array:
         """Return by how much the logarithms of the shape (p,) change where loads and rig are
@@ -132,7 +153,7 @@ def learn_sliding(
     normal = problem.normal(shape, coefficient)
     _, covariance = problem.solved(normal.sum(axis=0), shape, len(SLIDING_PARAMETERS))
     learned = LearnedModel(terms, shape, known, coefficient, covariance, np.full(2, LENGTH_SPREAD))
-    return SlidingFit(learned, problem, normal)
+    return SlidingFit(learned, problem, normal, count)
 
 
 def _searched(problem: Problem, shape: Shape) -> tuple[Shape, Array]:

@@ -150,16 +150,27 @@ class Problem:
             found.append(_Stroke(slice(int(first), int(last)), x, x @ x.T, own))
         return found
 
+    def derivatives(self, number: int, shape: Shape, coefficient: Array) -> Array:
+        """Return what a record shows of each parameter at its used rows (p, r), N m."""
+        moves = self._moves(number, shape, coefficient)
+        return np.vstack([moves, self._at(number, shape).rows[:-1]])
+
+    def _moves(self, number: int, shape: Shape, coefficient: Array) -> Array:
+        """Return the derivatives by the shape's logarithms at used rows."""
+        at, record = self._at(number, shape), self.records[number]
+        predicted = Prediction(self.terms, coefficient, at.values, shape, at.state)
+        found: Array = record.rows(slopes(predicted, at.state))[:, record.used]
+        return found
+
     def sums(self, number: int, shape: Shape, coefficient: Array | None) -> Array:
         """Return the record's normal matrix, right-hand side last, weighted.
 
         Where coefficients (t,) are given, the shape's derivatives come first.
         """
-        at, record, v = self._at(number, shape), self.records[number], self.variance[number]
+        at, v = self._at(number, shape), self.variance[number]
         normal, crosses, strokes = at.squares, at.crosses, self._strokes[number]
         if coefficient is not None:
-            predicted = Prediction(self.terms, coefficient, at.values, shape, at.state)
-            moves = record.rows(slopes(predicted, at.state))[:, record.used]
+            moves = self._moves(number, shape, coefficient)
             beside = moves @ at.rows.T
             normal = np.block([[moves @ moves.T, beside], [beside.T, normal]])
             crosses = [

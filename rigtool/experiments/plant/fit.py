@@ -42,7 +42,8 @@ MIN_LINES = 8
 """Smallest number of lines in a fit of up to seven parameters; each line has two values."""
 
 POOLED_LINES = 5
-"""Number of neighbouring lines whose relative scatter is pooled for the weights."""
+"""Number of neighbouring lines whose relative scatter is pooled for the weights; a line with more
+keeps its own."""
 
 SECOND_MASS_SIGNIFICANCE = 1e-4
 """Probability that the test rejects the rigid plant wrongly."""
@@ -155,7 +156,8 @@ class _Data:
         window = np.ones(min(POOLED_LINES, len(relative)))
         count = np.convolve(np.ones(len(relative)), window, "same")
         pooled = np.convolve(relative, window, "same") / count
-        self._weight = 1 / np.sqrt(pooled)
+        # Ripple that falls on a line is its own: pooled, the line would look like a second mass
+        self._weight = 1 / np.sqrt(np.maximum(pooled, relative))
 
     def freedom(self, fit: PlantFit) -> int:
         """Return the degrees of freedom of the residuals."""

@@ -142,8 +142,17 @@ def test_what_the_bench_has_wrong_is_in_the_budget_of_the_tendon(fit, learned):
     assert abs(relative["tendon_stiffness"]["angle ratio"]) > 0.01
     assert all(len(lines) == 4 for lines in relative.values())
     number = SLIDING_PARAMETERS.index("stiffness")
-    u = np.sqrt(fit.learned.covariance[number, number])
+    u = np.sqrt(fit.covariance_of(learned, [True] * len(fit.problem.records))[number, number])
     assert relative["tendon_stiffness"]["strokes under known loads"] == pytest.approx(u, rel=0.05)
+
+
+def test_a_coarse_encoder_leaves_the_tendon_uncertain_where_the_rotor_turns(fit, learned):
+    every, number = [True] * len(fit.problem.records), SLIDING_PARAMETERS.index("stiffness")
+    fine, coarse = (
+        replace(fit, count=factor * fit.count).covariance_of(learned, every)[number, number]
+        for factor in (0.01, 20)
+    )
+    assert coarse > 1.2 * fine > 0
 
 
 def test_friction_is_given_back_wherever_it_slides(learned):

@@ -161,3 +161,18 @@ def test_lines_of_little_coherence_are_left_out():
 def test_an_excitation_that_is_lost_is_refused():
     with pytest.raises(InsufficientDataError, match=r"only 0 of \d+ lines .* raise identify_plant"):
         fitted(RIGID, 0, coherence=0.6)
+
+
+def test_a_line_on_which_ripple_falls_is_no_second_mass():
+    """Its scatter is its own, many times that of its neighbours, and 3.3 of it is its error."""
+    for seed in range(4):
+        response = measured(RIGID, seed, noise=3e-3)
+        rng = np.random.default_rng([seed, 1])
+        for line, error in ((1, 0.0), (2, -0.11 + 0.03j)):
+            own = rng.standard_normal((2, 8))
+            own = 0.09 * (own - own.mean(axis=1, keepdims=True)) / own.std(axis=1, keepdims=True)
+            response.each[:, line] *= 1 + error + own[0] + 1j * own[1]
+        fit = fit_plant(response, SAMPLE_TIME, NOMINAL)
+        u = fit.scatter(lambda f: f.model.inertia)
+        assert fit.model.rigid
+        assert abs(fit.model.inertia - RIGID.inertia) < 3 * u

@@ -10,7 +10,7 @@ import numpy as np
 
 from rigtool.experiments.force_model import stored
 from rigtool.experiments.force_model.deviations import MAX_SCATTER_RATIO, scatter_hz
-from rigtool.experiments.force_model.learning import SlidingFit
+from rigtool.experiments.force_model.learning import LearnedModel, SlidingFit
 from rigtool.experiments.force_model.procedure_learning import LearnedForce
 from rigtool.experiments.force_model.records import Record
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
@@ -38,33 +38,34 @@ def tendon_results(
 
     `speed` (n,) rad/s of the motor is that of each of the `pairs`. The slowest shows the stiffness
     by the shift of the peak, the fastest by how the load swings; what the bench may have wrong
-    counts for each as for all together.
+    counts for each as for all together. All are those of sliding alone: the residuals of its rows
+    show how uncertain they are.
     """
-    whole = stored.model_results(learned.model)
-    lines = _bench_lines(learned.sliding, rig)
+    sliding = learned.sliding
+    lines = _bench_lines(sliding, rig)
 
-    def stated(parameter: str, found: Quantity) -> Quantity:
+    def stated(parameter: str, model: LearnedModel, chosen: Sequence[bool]) -> Quantity:
         number = SLIDING_PARAMETERS.index(parameter)
+        value, unit = float(getattr(model.shape, parameter)), stored.MODEL_UNITS[parameter]
         off = [
-            replace(line, sensitivity=found.value * float(moved[number]) / line.u)
+            replace(line, sensitivity=value * float(moved[number]) / line.u)
             for line, moved in lines
         ]
-        own = error_line("strokes under known loads", found.u or 0.0, found.unit)
-        return combined(found.value, found.unit, [own, *off])
+        relative = math.sqrt(sliding.covariance_of(model, chosen)[number, number])
+        own = error_line("strokes under known loads", value * relative, unit)
+        return combined(value, unit, [own, *off])
 
+    every = [True] * len(sliding.problem.records)
     results = {
-        name: stated(parameter, whole[f"{stored.MODEL_PREFIX}{parameter}"])
-        for parameter, name in TENDON.items()
+        name: stated(parameter, sliding.learned, every) for parameter, name in TENDON.items()
     }
     if np.ptp(speed):
         for name, own_speed in (("shift", speed.min()), ("resonance", speed.max())):
             own_pairs = [p for p, v in zip(pairs, speed, strict=True) if v == own_speed]
             used = [record for pair in own_pairs for record in (pair.loaded, *pair.unloaded)]
-            alone = learned.sliding.learned_from(
-                [any(r is u for u in used) for r in learned.sliding.problem.records]
-            )
-            stiffness = stored.shape_results(alone)[f"{stored.MODEL_PREFIX}stiffness"]
-            results[f"tendon_stiffness_{name}"] = stated("stiffness", stiffness)
+            chosen = [any(r is u for u in used) for r in sliding.problem.records]
+            alone = sliding.learned_from(chosen)
+            results[f"tendon_stiffness_{name}"] = stated("stiffness", alone, chosen)
     return results
 
 
