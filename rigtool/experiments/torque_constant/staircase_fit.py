@@ -28,6 +28,7 @@ from rigtool.experiments.torque_constant.staircase_model import (
     winding,
 )
 from rigtool.experiments.torque_constant.staircase_refusals import (
+    require_dithered,
     require_resolution,
     require_straight,
 )
@@ -123,6 +124,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     resolution_u, trend_resolution_u = (_rms(rounding @ each) for each in (average, trend))
     u, dof = _lack_of_fit(stairs, solution, average, resolution_u)
     trend_u = _trend_scatter(stairs, solution, trend, trend_resolution_u)
+    require_dithered(stairs, solution.fit.residual)
     require_straight(stairs, solution.slope, solution.u, solution.fit.residual, solution.off_line)
     level, rising, falling = branches(stairs, solution.off_line)
     bent, bent_u = deflection(stairs)

@@ -37,6 +37,10 @@ LARGE_FRICTION = 0.03
 FEWEST_STEPS, CLEAR_STEPS = 10, 40
 """Steps of the gauge in the span of the torque: fewest, and enough to show friction."""
 
+DITHER, LEAST_ROUNDING = 0.1, 0.25
+"""Noise in steps of the gauge from which it spreads readings over a step; least part of the error
+of rounding that readings show where it does not."""
+
 
 def require_resolution(plateaus: Plateaus) -> None:
     """Raise `InsufficientDataError` where the gauge is too coarse for a staircase's torque."""
@@ -52,6 +56,27 @@ def require_resolution(plateaus: Plateaus) -> None:
             f"the gauge reads in steps of {step * 1e3:.3g} mN m at the arm, the staircase has "
             f"{span * 1e3:.3g} mN m: fewer than {FEWEST_STEPS} steps; take a finer gauge, a "
             "shorter arm or a higher current_max"
+        )
+
+
+def require_dithered(stairs: Stairs, residual: Array) -> None:
+    """Raise `InsufficientDataError` where readings follow the gauge's steps instead of the torque.
+
+    Rounding leaves q/sqrt(12) where torques lie anywhere within a step q (GUM F.2.2.1). Where each
+    step of the current makes whole steps of the gauge and no noise spreads them, readings lie on a
+    line whatever the torque is within a step, and all staircases are alike. `residual` (m, p) N m
+    is what a fit of all staircases left.
+    """
+    q, used = stairs.resolution, stairs.weight > 0
+    if stairs.noise > DITHER * q:
+        return
+    left = float(np.sqrt(np.mean(residual[used] ** 2)))
+    if left < LEAST_ROUNDING * q / math.sqrt(12):
+        raise InsufficientDataError(
+            f"readings of the gauge, in steps of {q * 1e3:.3g} mN m at the arm, are {left / q:.2g} "
+            f"steps off a line, where rounding leaves {1 / math.sqrt(12):.2g}: steps of current "
+            "make whole steps of the gauge, which hide all changes of less; change current_max by "
+            "some per cent, or take a finer gauge"
         )
 
 

@@ -428,6 +428,24 @@ def test_resolution_of_the_gauge_is_seen_in_its_readings_and_stated():
     assert_allclose(stated, 5e-3 * 0.54, rtol=1e-12)
 
 
+def test_readings_that_only_follow_the_steps_of_the_gauge_are_refused():
+    """Steps of current that make whole steps of the gauge hide what is less than one."""
+    bench = Bench(force_noise=0.0, friction=0.0, ripple=())
+    signals = bench.record((20, 50))
+    levels = np.unique(np.round(signals["current_setpoint"], 6))
+    step = float(np.diff(levels)[0]) * 45.4e-3 / 0.54
+
+    def calibrated(q):
+        rounded = {**signals, "force": np.round(signals["force"] / q) * q}
+        plateaus = plateaus_of_set_point(**rounded, arm_length=0.54, settle_time=0.08)
+        return calibrate(plateaus, arm_length=0.54, **ARM)
+
+    with pytest.raises(InsufficientDataError, match="whole steps of the gauge"):
+        calibrated(step)
+    found = calibrated(0.93 * step).mean
+    assert abs(found.value / (45.8e-3 * (1 - 1.16e-3 * 7.5)) - 1) < 3 * found.u / 45e-3
+
+
 def test_gauge_that_is_not_linear_is_in_the_budget(thesis):
     bench = Bench()
     plateaus = plateaus_of_set_point(**bench.record(), arm_length=0.54, settle_time=0.08)
