@@ -63,11 +63,11 @@ class SensorProperties:
         by the kind of motion: that of a rectangle.
 
         It is as wide as friction where the rotor rests, which may hold either way, and after a
-        reversal as what friction changes by within a count.
+        reversal as what friction changes by within a count, about rest.
         """
         plant = self.model.plant(self.grid.sample_time)
         bearings, housing = plant.static, plant.housing_friction
-        slope = bearings / plant.presliding_angle
+        slope = bearings / (plant.resting_part * plant.presliding_angle)
         if housing > 0:
             slope += housing / plant.housing_presliding_angle
         found = np.zeros(KIND_COUNT)
