@@ -77,9 +77,8 @@ class Path:
 
     def setpoint(self, time: Array) -> tuple[Array, Array, Array]:
         """See `Motion.setpoint`."""
-        if (
-            1 <= len(time) <= 2
-        ):  # as each period of a controller asks; arrays take ten times as long
+        # As each period of a controller asks; arrays take ten times as long
+        if 1 <= len(time) <= 2:
             found = np.array([self._at(now) for now in time.tolist()])
             return found[:, 0], found[:, 1], found[:, 2]
         number = np.searchsorted(self.pieces[:, BEGIN], time, side="right") - 1

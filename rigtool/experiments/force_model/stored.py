@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, fields
+from dataclasses import MISSING, asdict, fields
 
 import numpy as np
 
@@ -181,8 +181,9 @@ def model_from(run: Run, recipe: Recipe) -> ForceModel:
                 *(table[name] for name in ("kind", "spread", "order", "quarter")), strict=True
             )
         )
-        stored = [f.name for f in fields(Shape) if MODEL_PREFIX + f.name in run.results]
-        shape = Shape(**{name: value(name) for name in stored})
+        later = {f.name for f in fields(Shape) if f.default is not MISSING}  # than older tables
+        absent = {name for name in later if MODEL_PREFIX + name not in run.results}
+        shape = Shape(**{f.name: value(f.name) for f in fields(Shape) if f.name not in absent})
         lengths = [run.result(MODEL_PREFIX + f"{name}_length") for name in ("bearing", "housing")]
         covariance = run.table(COVARIANCE)["covariance"]
         learned = LearnedModel(

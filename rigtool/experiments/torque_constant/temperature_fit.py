@@ -268,8 +268,8 @@ def _ripple(found: AngleEffects, value: float, slopes: Slopes, *, known: bool) -
     of it: it is added. The arm's deflection d acts in two ways, since the angle changes with the
     torque within a staircase: order k of the ripple is turned by k d, its size changes by up to
     `SMEARED` (k d)2; and order k of the torque without current adds k d of that over the largest
-    current, which is taken off. The gauge rounds
-    each staircase by its own zero: `Slopes.rounding` is what that adds to the slopes.
+    current, which is taken off. The gauge rounds each staircase by its own zero: `Slopes.rounding`
+    is what that adds to the slopes.
     """
     order = np.repeat(np.arange(1, len(found.amplitudes) // 2 + 1), 2)
     carried, left, begin = _carried(slopes) if known else (np.zeros(len(order)), 0.0, 0.0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 
 import numpy as np
@@ -186,9 +185,6 @@ def require_within_limits(found: Extremes, limits: Limits, what: str = "this mot
         )
 
 
-_WINDOWS = SPEED_WINDOWS.tolist()
-
-
 class Watch:
     """Watches the signals of a running motion.
 
@@ -227,7 +223,7 @@ class Watch:
     def problem(self, block: Block) -> str | None:
         """Return which limit the next signals exceed, in words, or None."""
         time, encoder = block["time"], block.get("encoder")
-        if len(time) == 0 or (len(time) == 1 and self._is_fine(block)):
+        if len(time) == 0:
             return None
         limits = self._limits
         temperature = block.get("temperature", time[:0])
@@ -250,41 +246,6 @@ class Watch:
                 return found
         current = block.get("current")
         return None if current is None else self._strong(time, current)
-
-    def _is_fine(self, block: Block) -> bool:
-        """Take in one sample, as each tick of a host's loop has, and return True; return False for
-        one that is beyond a limit, or without position, and leave it to those for arrays, which
-        give reasons and take ten times as long.
-        """
-        limits, now = self._limits, block["time"].item()
-        if "encoder" not in block or "temperature" not in block or "current" not in block:
-            return False
-        position, current = block["encoder"].item() * self._count, block["current"].item()
-        low, high = limits.position
-        if not low <= position <= high or block["temperature"].item() > limits.temperature_degc:
-            return False
-        if self._closed and "position_setpoint" in block:
-            off = abs(position - block["position_setpoint"].item())
-            if off > limits.following_error:
-                return False
-        time, positions = self._positions.lists()
-        for window in _WINDOWS:
-            first = bisect_right(time, now - window) - 1
-            if first < 1:
-                break  # longer windows begin earlier
-            longest = (2 * now - time[-1]) - time[first - 1]
-            if abs(position - positions[first]) - self._count > limits.speed * longest:
-                return False
-        if math.isfinite(current):
-            time, currents = self._currents.lists()
-            before = bisect_right(time, now - CURRENT_WINDOW)
-            mean = (sum(map(abs, currents[before:])) + abs(current)) / (len(time) + 1 - before)
-            if before and mean > limits.current * (1 + CURRENT_TOLERANCE):
-                return False
-            self._currents.push(now, current)
-        self._positions.push(now, position)
-        self._seen = now
-        return True
 
     def _blind(self, time: Array, position: Array) -> str | None:
         """Check for how long positions are missing."""
@@ -377,22 +338,8 @@ class _Tail:
 
     def __init__(self, length: float) -> None:
         self._length = length
-        self._time: Array | list[float] = []
-        self._values: Array | list[float] = []
-
-    def lists(self) -> tuple[list[float], list[float]]:
-        """Return times and values as lists."""
-        if isinstance(self._time, np.ndarray) or isinstance(self._values, np.ndarray):
-            self._time, self._values = list(map(float, self._time)), list(map(float, self._values))
-        return self._time, self._values
-
-    def push(self, now: float, value: float) -> None:
-        """Add one sample behind the `lists`, and keep their end."""
-        time, values = self.lists()
-        time.append(now)
-        values.append(value)
-        kept = max(0, bisect_left(time, now - self._length) - 2)
-        del time[:kept], values[:kept]
+        self._time = np.empty(0)
+        self._values = np.empty(0)
 
     def follow(self, time: Array, values: Array) -> tuple[int, Array, Array]:
         """Return tail and block (n,), the number of old samples in it, and keep its end."""

@@ -117,6 +117,15 @@ def test_tables_without_a_length_at_rest_have_the_whole_bristle_there(tmp_path):
         assert model_from(run, run.recipe).learned.shape == replace(SHAPE, resting_part=1.0)
 
 
+@pytest.mark.parametrize("name", ["stiffness", "bearing_length"])
+def test_tables_that_lack_a_parameter_are_refused(tmp_path, name):
+    with (
+        open_run(learned_run(tmp_path / "d.h5", without=f"model_{name}")) as run,
+        pytest.raises(RunFileError, match=f"model_{name}"),
+    ):
+        model_from(run, run.recipe)
+
+
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler cc")
 def test_names_of_a_run_do_not_leave_the_comment(kt, tmp_path):
     hostile = "*/ #error ??/"
