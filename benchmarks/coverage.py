@@ -1,7 +1,7 @@
 """How often stated intervals hold what they were computed for, on virtual rigs drawn anew.
 
     make coverage
-    .venv/bin/python benchmarks/coverage.py [--rigs 40] [--first 1] [--only NAME] [--short] [--list]
+    .venv/bin/python benchmarks/coverage.py [--rigs N] [--first 1] [--only NAME] [--short] [--list]
     .venv/bin/python benchmarks/coverage.py --kept FILE      in parts: what FILE has is not run
     .venv/bin/python benchmarks/coverage.py --kept FILE --rigs 0 --markdown     what FILE holds
 
@@ -157,7 +157,7 @@ def rows(trials: Sequence[Trial]) -> Iterator[Row]:
 def main() -> None:
     """Try every design and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rigs", type=int, default=40, help="drawn for each design")
+    parser.add_argument("--rigs", type=int, help="drawn for each design (40; 4 that learn loads)")
     parser.add_argument("--first", type=int, default=1, help="seed of the first rig")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--only", help="designs whose name contains this")
@@ -182,7 +182,8 @@ def main() -> None:
         out = stack.enter_context(arguments.kept.open("a")) if arguments.kept else None
         for number in chosen:
             name = DESIGNS[number].name
-            count = SHORT[name] if arguments.short else arguments.rigs
+            usual = DESIGNS[number].rigs if arguments.rigs is None else arguments.rigs
+            count = SHORT[name] if arguments.short else usual
             done = known.get(name, {})
             seeds = [s for s in range(arguments.first, arguments.first + count) if s not in done]
             for tried in pool.map(trial, [number] * len(seeds), seeds):

@@ -59,6 +59,17 @@ class Design:
     step: Step
     compare: Callable[[Outcome, Recipe], Compared]
 
+    @property
+    def rigs(self) -> int:
+        """Rigs that half an hour on two cores allows; learning known loads takes a minute each."""
+        return 4 if learns_loads(self.step) else 40
+
+
+def learns_loads(step: Step) -> bool:
+    """Whether a step, or one that it rests on, is implementation D."""
+    own = step.settings.get("ilc_learn.implementation") == "D"
+    return own or any(learns_loads(one) for one in step.inputs.values())
+
 
 def by_name(truth: Callable[[Recipe], dict[str, float]]) -> Callable[[Outcome, Recipe], Compared]:
     """Compare the results that have an uncertainty with their truth by name."""
