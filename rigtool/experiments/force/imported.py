@@ -77,7 +77,7 @@ def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None)
     results |= _own_results(TorqueRows.joined(rows), model)
     notes += remarks
     if all(item.signals.reference is not None for item in measured):
-        more, judged_tables, remarks = _judged(measured, rows, model)
+        more, judged_tables, remarks = _judged(measured, model)
         results |= more
         found |= judged_tables
         notes += remarks
@@ -296,7 +296,7 @@ def _with_motion(table: Table, measured: Sequence[Measured], direction: int) -> 
 
 
 def _judged(
-    measured: Sequence[Measured], rows: Sequence[TorqueRows], model: LoadModel
+    measured: Sequence[Measured], model: LoadModel
 ) -> tuple[dict[str, Quantity], dict[str, Table], list[str]]:
     """Return results, tables and notes of the comparison with the sensor: of strokes."""
     fast = [model.direction * m.signals.output_speed / FAST_SPEED for m in measured]
