@@ -61,12 +61,14 @@ def require_output(
         known = found.parent.is_dir()
     except OSError as error:  # a path that is too long, or a working directory that was removed
         raise UsageError(f"{path}: {error.strerror}: choose another folder") from None
+    if not known and found.parent.exists():
+        raise UsageError(f"{path}: {found.parent} is a file, no folder: choose another folder")
     if not known:
         raise UsageError(f"{path}: the folder {found.parent} does not exist: create it first")
     require_short(found)
     if found.is_symlink():
         raise UsageError(f"{path}: is a link that leads to itself: give another name")
-    if found.is_dir():
+    if found.is_dir() or os.fspath(path).endswith(os.sep):
         raise UsageError(f"{path}: is a folder: give the name of a file")
     if found.exists() and not found.is_file():
         raise UsageError(f"{path}: is a device or a pipe, no file: give the name of a file")

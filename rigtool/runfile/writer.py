@@ -200,6 +200,10 @@ class RunWriter:
 
     def _require_free(self, inputs: Sequence[str | os.PathLike[str]]) -> None:
         """Refuse an output, or a part beside it, that would be lost."""
+        if os.fspath(self.path).endswith(".toml"):
+            raise UsageError(
+                f"{self.path}: .toml is for recipes, no command would read this run: name it .h5"
+            )
         self.path = require_output(self.path, overwrite=self._overwrite, inputs=inputs)
         self.part = self.path.with_name(self.path.name + ".part")
         if not self.part.exists() and not self.part.is_symlink():
