@@ -14,9 +14,7 @@ from rigtool.errors import RunFileError, UsageError
 from rigtool.numerics.arrays import Array
 from rigtool.recipe.mapping import CONSTANT_SPEED
 from rigtool.runfile import Recording, Run
-
-RECORDING = "imported"
-"""Name of the one recording of an imported run."""
+from rigtool.runfile.schema import IMPORTED
 
 RIG_CONDITIONS = {
     "encoder_counts",
@@ -40,7 +38,7 @@ def recordings_of(runs: Sequence[Run]) -> list[Recording]:
     return [
         recording
         for run in runs
-        for recording in (run.recordings_named(f"{RECORDING}_") or [run.recording(RECORDING)])
+        for recording in (run.recordings_named(f"{IMPORTED}_") or [run.recording(IMPORTED)])
     ]
 
 
@@ -58,7 +56,7 @@ def rotary_recordings(runs: Sequence[Run], why: str) -> list[Recording]:
 
 def place(recording: Recording) -> str:
     """Return the run file, and where that holds several recordings which of them, for messages."""
-    part = "" if recording.name == RECORDING else f", {recording.name}"
+    part = "" if recording.name == IMPORTED else f", {recording.name}"
     return f"{recording.path}{part}"
 
 

@@ -165,11 +165,15 @@ def validate(
     """Return the model of a TOML `text`; `RecipeError` lists all mistakes with their lines."""
     try:
         found = model.model_validate(data)
-        if misread := list(_misread(data, found)):
-            raise ValidationError.from_exception_data(kind, misread)
+        _require_read(data, found)
         return found
     except ValidationError as error:
         raise RecipeError(described_mistakes(error, model, text, name, kind, overrides)) from None
+
+
+def _require_read(given: object, found: object) -> None:
+    if misread := list(_misread(given, found)):
+        raise ValidationError.from_exception_data("", misread)
 
 
 def _misread(
