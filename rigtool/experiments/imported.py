@@ -12,22 +12,9 @@ import numpy as np
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.numerics.arrays import Array
-from rigtool.recipe.mapping import CONSTANT_SPEED
+from rigtool.recipe.mapping import CONSTANT_SPEED, RIG_CONDITIONS
 from rigtool.runfile import Recording, Run
 from rigtool.runfile.schema import IMPORTED
-
-RIG_CONDITIONS = {
-    "encoder_counts",
-    "torque_constant",
-    "torque_constant_u",
-    "rated_torque",
-    "inertia",
-    "arm_length",
-    "gear_ratio",
-    "reference_relative_u",
-    "linear_axis",
-}
-"""Conditions that describe the rig, not one recording."""
 
 
 def recordings_of(runs: Sequence[Run]) -> list[Recording]:

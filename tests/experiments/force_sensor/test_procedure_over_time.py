@@ -280,6 +280,7 @@ def changed(rig, tmp_path, change):
             path,
             command="measure-force",
             recipe=stored.recipe,
+            recipe_text=None,
             recordings=[spec],
         ) as writer:
             writer.append("strokes_000", signals)

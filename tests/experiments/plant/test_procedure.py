@@ -49,7 +49,7 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def kt(folder):
     path = folder / "kt.h5"
-    with RunWriter(path, command="calibrate-kt") as writer:
+    with RunWriter(path, command="calibrate-kt", recipe=None, recipe_text=None) as writer:
         writer.finish(CONSTANT, {})
     return path
 
@@ -201,7 +201,7 @@ def test_the_response_and_its_fit_state_their_degrees_of_freedom(pulley, kt):
 def test_half_the_heat_of_the_winding_is_taken_off_and_the_rest_is_in_the_budget(pulley, folder):
     path, before = pulley
     warmed = folder / "warmed.h5"
-    with RunWriter(warmed, command="calibrate-kt") as writer:
+    with RunWriter(warmed, command="calibrate-kt", recipe=None, recipe_text=None) as writer:
         writer.finish(CONSTANT | {"winding_heat_loss": Quantity(0.7e-3, "1/A2", 1e-5)}, {})
     inertia = run(IDENTIFY_PLANT, path, folder / "again.h5", kt=warmed).results["inertia"]
     with open_run(path) as stored:
