@@ -167,7 +167,6 @@ def cut(run: Run, name: str, folder: Path, count: int) -> list[str]:
             path,
             command=run.command,
             recipe=run.recipe,
-            recipe_text=None,
             recordings=[RecordingSpec(name, recording.channels)],
         ) as writer:
             writer.append(name, block)

@@ -91,7 +91,10 @@ def read_lines(file: str) -> list[Line]:
             raise UsageError(f"{place}: {error.format_message()}") from None
         except RigtoolError as error:
             raise UsageError(f"{place}: {error}") from None
-        except ValueError as error:  # an open quote, or no UTF-8
+        except UnicodeDecodeError as error:
+            byte = f"byte {error.start} of the line is not UTF-8"
+            raise UsageError(f"{place}: {byte}; give a text, saved in UTF-8") from None
+        except ValueError as error:  # an open quote
             raise UsageError(f"{place}: {error}: correct the line") from None
     return lines
 

@@ -22,8 +22,9 @@ def command() -> None:
     from rigtool.cli.defaults import DEFAULT_KEYS, DEFAULTS_FILE, stated
 
     found, to = stated(), current_output()
-    file = Path(DEFAULTS_FILE).resolve()
+    file = Path.cwd() / DEFAULTS_FILE
     to.document(file=str(file) if file.exists() else None, defaults=found)
-    to.note(f"{file}: {'' if file.exists() else 'is not there: '}{len(found)} defaults")
+    count = f"{len(found)} default{'s' * (len(found) != 1)}"
+    to.note(f"{file}: {'' if file.exists() else 'is not there: '}{count}")
     for key, meaning in DEFAULT_KEYS.items():
         to.line(f"{key:7} {found.get(key, 'none'):24} {meaning}")

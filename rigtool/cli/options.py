@@ -299,11 +299,12 @@ def _state_defaults(given: dict[str, Any]) -> None:
 def _imported(sources: tuple[str, ...]) -> bool:
     """Return whether the first source is a run of `rigtool import`."""
     from rigtool.runfile import open_run
+    from rigtool.runfile.schema import IMPORT
 
     if is_recipe(sources[0]):
         return False
     with open_run(sources[0]) as run:
-        return run.command == "import"
+        return run.command == IMPORT
 
 
 def run_and_print(

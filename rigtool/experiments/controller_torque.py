@@ -59,6 +59,8 @@ steps and the delay of the current leave this much at any load."""
 LOWEST_HZ = 0.5
 """Lower end of the band in which the controller's gain counts: slower than any motion."""
 
+SMALLER_FORCE = "use a smaller force"
+"""Remedy where the loop saturates under a load."""
 
 SPECTRUM_POINTS, EDGE_HARMONICS = 500, 50
 """Frequencies up to half the rate at which the loop's answer to the encoder is taken, and harmonics
@@ -98,21 +100,20 @@ def controller_torque(
     return torque_constant * current
 
 
-def loop_blocks(
-    recording: Recording, recipe: Recipe, remedy: str = "use a smaller force"
-) -> Iterator[LoopSignals]:
+def loop_blocks(recording: Recording, recipe: Recipe) -> Iterator[LoopSignals]:
     """Yield the signals of a recording block by block.
 
     Raises `InsufficientDataError` after the last block where the loop saturated or did not hold the
-    rotor; `remedy` for the former is part of the message.
+    rotor.
     """
-    yield from _checked(recording.blocks(*_names(recording)), recipe, remedy)
+    yield from _checked(recording.blocks(*_names(recording)), recipe, SMALLER_FORCE)
 
 
-def loop_signals(
-    recording: Recording, recipe: Recipe, remedy: str = "use a smaller force"
-) -> LoopSignals:
-    """Return the signals of a whole recording; raises as `loop_blocks` does."""
+def loop_signals(recording: Recording, recipe: Recipe, remedy: str = SMALLER_FORCE) -> LoopSignals:
+    """Return the signals of a whole recording; raises as `loop_blocks` does.
+
+    `remedy` is what to do where the loop saturates.
+    """
     whole = tuple(recording.read(name) for name in _names(recording))
     (signals,) = _checked([whole], recipe, remedy)
     return signals
@@ -169,7 +170,7 @@ def require_tracking(
     largest_current: float,
     largest_controller: float,
     distance: float,
-    remedy: str = "use a smaller force",
+    remedy: str,
 ) -> None:
     """Raise `InsufficientDataError` where the loop saturates or does not hold the rotor.
 

@@ -12,24 +12,9 @@ import numpy as np
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.numerics.arrays import Array
-from rigtool.recipe.mapping import CONSTANT_SPEED
+from rigtool.recipe.mapping import CONSTANT_SPEED, RIG_CONDITIONS
 from rigtool.runfile import Recording, Run
-
-RECORDING = "imported"
-"""Name of the one recording of an imported run."""
-
-RIG_CONDITIONS = {
-    "encoder_counts",
-    "torque_constant",
-    "torque_constant_u",
-    "rated_torque",
-    "inertia",
-    "arm_length",
-    "gear_ratio",
-    "reference_relative_u",
-    "linear_axis",
-}
-"""Conditions that describe the rig, not one recording."""
+from rigtool.runfile.schema import IMPORTED
 
 
 def recordings_of(runs: Sequence[Run]) -> list[Recording]:
@@ -40,7 +25,7 @@ def recordings_of(runs: Sequence[Run]) -> list[Recording]:
     return [
         recording
         for run in runs
-        for recording in (run.recordings_named(f"{RECORDING}_") or [run.recording(RECORDING)])
+        for recording in (run.recordings_named(f"{IMPORTED}_") or [run.recording(IMPORTED)])
     ]
 
 
@@ -58,7 +43,7 @@ def rotary_recordings(runs: Sequence[Run], why: str) -> list[Recording]:
 
 def place(recording: Recording) -> str:
     """Return the run file, and where that holds several recordings which of them, for messages."""
-    part = "" if recording.name == RECORDING else f", {recording.name}"
+    part = "" if recording.name == IMPORTED else f", {recording.name}"
     return f"{recording.path}{part}"
 
 

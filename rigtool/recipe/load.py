@@ -3,11 +3,12 @@
 import json
 import os
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
 from pydantic import ValidationError, model_validator
+from pydantic_core import InitErrorDetails
 
 from rigtool.errors import RecipeError, UsageError
 from rigtool.inputs import open_input
@@ -119,7 +120,9 @@ def read_document(path: str | Path, kind: str, examples: str, *, pipe: bool = Tr
             data = file.read(MAX_BYTES + 1)
         text = data.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise RecipeError(f"{path}: cannot be read as a {kind}: {error}") from None
+        raise RecipeError(
+            f"{path}: is no {kind}: byte {error.start} is not UTF-8; give a text, saved in UTF-8"
+        ) from None
     if len(data) > MAX_BYTES:
         raise RecipeError(f"{path}: is larger than {MAX_BYTES} bytes: it is no {kind}")
     return text.replace("\r\n", "\n")
@@ -161,9 +164,31 @@ def validate(
 ) -> Document:
     """Return the model of a TOML `text`; `RecipeError` lists all mistakes with their lines."""
     try:
-        return model.model_validate(data)
+        found = model.model_validate(data)
+        _require_read(data, found)
+        return found
     except ValidationError as error:
         raise RecipeError(described_mistakes(error, model, text, name, kind, overrides)) from None
+
+
+def _require_read(given: object, found: object) -> None:
+    if misread := list(_misread(given, found)):
+        raise ValidationError.from_exception_data("", misread)
+
+
+def _misread(
+    given: object, found: object, place: tuple[str | int, ...] = ()
+) -> Iterator[InitErrorDetails]:
+    """Yield where true or false was given for a number: pydantic reads them as 1 and 0."""
+    if isinstance(given, bool) and not isinstance(found, bool):
+        yield InitErrorDetails(type="float_type", loc=place, input=given)
+    elif isinstance(given, dict):
+        for key, part in given.items():
+            read = found[key] if isinstance(found, dict) else getattr(found, key)
+            yield from _misread(part, read, (*place, key))
+    elif isinstance(given, list) and isinstance(found, tuple | list):
+        for number, (part, read) in enumerate(zip(given, found, strict=True)):
+            yield from _misread(part, read, (*place, number))
 
 
 def recipe_from_resolved(text: str) -> Recipe:
@@ -203,7 +228,7 @@ def _require_recipe(data: dict[str, Any], name: str) -> None:
 
 def _apply_override(data: dict[str, Any], override: str) -> None:
     key, equals, value = override.partition("=")
-    if not equals or not key.strip():
+    if not equals or not all(part.strip() for part in key.split(".")):
         raise UsageError(f"--set {override!r}: expected key=value, e.g. rig.attachment=pulley")
     *tables, last = key.strip().split(".")
     if len(tables) > MAX_DEPTH:

@@ -25,6 +25,19 @@ CONSTANT_SPEED = "constant_speed"
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,99}")
 
+RIG_CONDITIONS = {
+    "encoder_counts": "count",
+    "torque_constant": "N m/A",
+    "torque_constant_u": "N m/A",
+    "rated_torque": "N m",
+    "inertia": "kg m2",
+    "arm_length": "m",
+    "gear_ratio": "1",
+    "reference_relative_u": "1",
+    "linear_axis": "1",
+}
+"""Conditions of all recordings of an import that describe the rig, and their units."""
+
 
 class ImportedRig(Section):
     """Properties of the rig, as far as the person who measured knows them."""
@@ -64,6 +77,11 @@ class ImportedRig(Section):
                 'where current makes force: take it out, or set axis = "rotary"'
             )
         return self
+
+    @property
+    def linear_axis(self) -> float | None:
+        """One for a linear axis, as a condition of its recordings."""
+        return 1.0 if self.axis == "linear" else None
 
 
 class FileLayout(Section):

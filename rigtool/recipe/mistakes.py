@@ -30,6 +30,8 @@ EXPECTATIONS = {
     "greater_than_equal": "must be at least {ge:g}",
     "less_than": "must be below {lt:g}",
     "less_than_equal": "must be at most {le:g}",
+    "string_too_short": "must not be empty",
+    "string_too_long": "takes {max_length} characters at most",
     "too_short": "needs {min_length} values at least",
     "too_long": "takes {max_length} values at most",
     "union_tag_not_found": "needs a key {discriminator}",

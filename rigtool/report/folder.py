@@ -10,7 +10,7 @@ from rigtool.errors import UsageError, refusal
 from rigtool.report.build import Report
 from rigtool.report.formats import csv_table, latex_table, markdown_table, terminal_table
 from rigtool.report.page import render_page, render_pdf
-from rigtool.runfile.outputs import own_folder, require_short
+from rigtool.runfile.outputs import own_folder, require_place
 
 REPORT_ENTRIES = frozenset({"index.html", "report.pdf", "tables.txt", "tables", "figures"})
 """Entries of a report's folder; a folder with any other entry is never replaced."""
@@ -36,11 +36,7 @@ def require_free(
         target = Path(output).absolute()
     except OSError as error:
         raise UsageError(f"{output}: the working folder is gone: {refusal(error)}") from None
-    require_short(target)
-    if not os.path.isdir(target.parent):
-        raise UsageError(f"{output}: the folder {target.parent} does not exist: create it first")
-    if not os.access(target.parent, os.W_OK):
-        raise UsageError(f"{output}: {target.parent} cannot be written: choose another folder")
+    require_place(output, target)
     if not target.exists() and not target.is_symlink():
         return target
     if target.is_symlink() or not target.is_dir():

@@ -11,6 +11,7 @@ import numpy as np
 from rigtool.report.formats import Cell, ReportColumn, ReportTable, mean_cell, number_cell
 from rigtool.report.published import published_accuracy
 from rigtool.runfile import Run
+from rigtool.runfile.schema import IMPORT
 
 _ACCURACY = (
     ReportColumn("source", "From", numeric=False),
@@ -82,7 +83,7 @@ def _over_time_table(run: Run, label: str) -> ReportTable:
 def _accuracy_table(run: Run, label: str) -> ReportTable:
     own = {name: run.result(name).value for name in _JUDGED}
     inputs = run.provenance["inputs"]
-    folders = {Path(one["path"]).parent.name for one in inputs if one["command"] == "import"}
+    folders = {Path(one["path"]).parent.name for one in inputs if one["command"] == IMPORT}
     rows = [_accuracy_row("rigtool", {"split": 0, **own})]
     rows += [
         _accuracy_row(row["source"], row) for row in published_accuracy(run.rig or "", folders)

@@ -131,7 +131,9 @@ class SpeedProfile(Path):
         times, speeds = np.asarray(self.times), np.asarray(self.speeds)
         steps, before, after = np.diff(times), speeds[:-1], speeds[1:]
         travelled = np.concatenate([[0.0], np.cumsum(steps * (after + before) / 2)[:-1]])
-        return _pieces(times[:-1], travelled, before, (after - before) / steps / 2)
+        lasts = steps > 0  # from a speed to the same one takes no time
+        rate = (after - before)[lasts] / steps[lasts]
+        return _pieces(times[:-1][lasts], travelled[lasts], before[lasts], rate / 2)
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,9 @@ import numpy as np
 
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.quantity import Quantity, format_quantity
-from rigtool.runfile import schema
 from rigtool.runfile.model import Table
 from rigtool.runfile.reader import Run
-from rigtool.runfile.recording import Recording
-
-_BLOCK = 16 * schema.CHUNK
+from rigtool.runfile.recording import BLOCK_SAMPLES, Recording
 
 
 @dataclass(frozen=True)
@@ -115,8 +112,8 @@ def _recordings(
                 yield f"{where}/{channel}: unit {one.units[channel]} | {other.units[channel]}"
                 continue
             worst = _Worst(tolerance)
-            for start in range(0, one.size, _BLOCK):
-                stop = min(start + _BLOCK, one.size)
+            for start in range(0, one.size, BLOCK_SAMPLES):
+                stop = min(start + BLOCK_SAMPLES, one.size)
                 left = one.read_stored(channel, start, stop).astype(np.float64)
                 worst.add(left, other.read_stored(channel, start, stop).astype(np.float64))
             yield from worst.line(f"{where}/{channel}", one.units[channel])

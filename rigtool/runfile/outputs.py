@@ -58,20 +58,16 @@ def require_output(
         raise UsageError(f"{path!r}: is not UTF-8, or holds a NUL: give another name")
     try:
         found = Path(os.path.realpath(path))
-        known = found.parent.is_dir()
+        found.parent.is_dir()
     except OSError as error:  # a path that is too long, or a working directory that was removed
         raise UsageError(f"{path}: {error.strerror}: choose another folder") from None
-    if not known:
-        raise UsageError(f"{path}: the folder {found.parent} does not exist: create it first")
-    require_short(found)
+    require_place(path, found)
     if found.is_symlink():
         raise UsageError(f"{path}: is a link that leads to itself: give another name")
-    if found.is_dir():
+    if found.is_dir() or os.fspath(path).endswith(os.sep):
         raise UsageError(f"{path}: is a folder: give the name of a file")
     if found.exists() and not found.is_file():
         raise UsageError(f"{path}: is a device or a pipe, no file: give the name of a file")
-    if not os.access(found.parent, os.W_OK):
-        raise UsageError(f"{path}: the folder {found.parent} cannot be written: choose another")
     for name in inputs:
         if found.exists() and os.path.exists(name) and os.path.samefile(name, found):
             raise UsageError(f"{path}: is an input of this run: give the output another name")
@@ -80,11 +76,22 @@ def require_output(
     return found
 
 
-def require_short(path: Path) -> None:
-    """Raise `UsageError` for a name that leaves no room for `.part`, or that no system takes."""
-    if (size := len(os.fsencode(path.name))) > MAX_NAME or len(os.fsencode(path)) > MAX_PATH:
+def require_place(path: str | os.PathLike[str], found: Path) -> None:
+    """Raise `UsageError` where nothing can be written at `found`, which the user calls `path`.
+
+    Its folder is missing or cannot be written, or its name leaves no room for `.part`.
+    """
+    folder = found.parent
+    if not os.path.isdir(folder):
+        if os.path.exists(folder):
+            raise UsageError(f"{path}: {folder} is a file, no folder: choose another folder")
+        raise UsageError(f"{path}: the folder {folder} does not exist: create it first")
+    if not os.access(folder, os.W_OK):
+        raise UsageError(f"{path}: the folder {folder} cannot be written: choose another")
+    size, whole = (len(os.fsencode(name)) for name in (found.name, found))
+    if size > MAX_NAME or whole > MAX_PATH:
         raise UsageError(
-            f"{path}: its name has {size} bytes, the whole path {len(os.fsencode(path))}; at most "
+            f"{found}: its name has {size} bytes, the whole path {whole}; at most "
             f"{MAX_NAME} and {MAX_PATH} leave room for the .part of a run: choose a shorter one"
         )
 

@@ -50,8 +50,6 @@ def recover(
         with RunWriter(
             beside,
             command=run.command,
-            recipe=None,
-            recipe_text=None,
             recordings=specs,
             origin=run,
         ) as writer:

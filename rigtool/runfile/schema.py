@@ -24,6 +24,15 @@ CONDITIONS = "conditions"
 INPUTS = "inputs"
 TIME = "time"
 
+IMPORT = "import"
+"""Command that made an imported run."""
+
+IMPORTED = "imported"
+"""Its one recording; of several parts, the beginning of their names."""
+
+MAP = "map"
+"""Its table, where it is a map of the turn."""
+
 BUDGET = ("name", "value", "unit", "u", "dof", "sensitivity")
 """Fields of `Component`: each is an attribute `budget_FIELD` of a result, one value a line."""
 

@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from rigtool.errors import RigtoolError
-from rigtool.runfile import provenance, schema
+from rigtool.runfile import provenance
 from rigtool.runfile.reader import Run, open_run
-from rigtool.runfile.recording import Recording
-
-_BLOCK = 16 * schema.CHUNK
+from rigtool.runfile.recording import BLOCK_SAMPLES, Recording
 
 
 @dataclass(frozen=True)
@@ -115,8 +113,8 @@ def _damage(run: Run) -> str | None:
 
 def _samples_sha256(recording: Recording, channel: str) -> str:
     digest = hashlib.sha256()
-    for start in range(0, recording.size, _BLOCK):
-        stop = min(start + _BLOCK, recording.size)
+    for start in range(0, recording.size, BLOCK_SAMPLES):
+        stop = min(start + BLOCK_SAMPLES, recording.size)
         digest.update(recording.read_stored(channel, start, stop).tobytes())
     return digest.hexdigest()
 

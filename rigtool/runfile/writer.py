@@ -58,8 +58,8 @@ class RunWriter:
         path: str | os.PathLike[str],
         *,
         command: str,
-        recipe: Recipe | None,
-        recipe_text: str | None,
+        recipe: Recipe | None = None,
+        recipe_text: str | None = None,
         recordings: Sequence[RecordingSpec] = (),
         inputs: Sequence[Run] = (),
         seed: int | None = None,
@@ -201,6 +201,10 @@ class RunWriter:
     def _require_free(self, inputs: Sequence[str | os.PathLike[str]]) -> None:
         """Refuse an output, or a part beside it, that would be lost."""
         self.path = require_output(self.path, overwrite=self._overwrite, inputs=inputs)
+        if self.path.suffix == ".toml":
+            raise UsageError(
+                f"{self.path}: .toml is for recipes, no command would read this run: name it .h5"
+            )
         self.part = self.path.with_name(self.path.name + ".part")
         if not self.part.exists() and not self.part.is_symlink():
             return

@@ -147,7 +147,7 @@ def another_kind(bench: Bench) -> Trial:
     luck = bench.luck
     out = bench.file("o.h5")
     files: list[object] = [*bench.stored.values(), RECIPE, *sorted(MAPPINGS.glob("*.toml"))]
-    files += [ROOT / "README.md", ROOT / "docs" / "pictures", ROOT / "nothing.h5", __file__]
+    files += [ROOT / "README.md", ROOT / "docs" / "figures", ROOT / "nothing.h5", __file__]
     command = luck.choice(list(ANALYSES.values()))
     lines: list[list[object]] = [
         [command, luck.choice(files), *inputs(command), "-o", out],

@@ -147,6 +147,13 @@ def test_output_that_exists_is_kept(command, folder):
     assert (folder / "there.h5").read_bytes() == b"mine"
 
 
+def test_a_run_is_not_named_as_a_recipe(folder, refused):
+    code, message = refused(["calibrate-kt", "rig.toml", "-o", "kt.toml"])
+    assert code == 2
+    assert "kt.toml: .toml is for recipes" in message
+    assert not Path("kt.toml").exists()
+
+
 @pytest.mark.parametrize("output", ["nowhere/out.h5", "kt.h5/out.h5"])
 def test_output_folder_that_cannot_be_written(command, output):
     code, message = command("rig.toml", output=output)

@@ -199,7 +199,7 @@ def test_where_no_copy_can_be_made_each_line_is_a_process(folder):
         ("info kt.h5 --no-such", "No such option"),
         ("calibrate-kt kt.h5 -o o.h5 --seed x", "Invalid value for '--seed'"),
         ("info 'kt.h5", "No closing quotation: correct the line"),
-        ("info \xff", "can't decode byte"),
+        ("info \xff", "byte 5 of the line is not UTF-8; give a text, saved in UTF-8"),
         ("info \0", "NUL"),
         ("info --help", "asks for no help"),
         ("rigtool info a.h5", "without `rigtool`"),

@@ -46,6 +46,13 @@ def test_defaults_stand_for_what_is_left_out(folder, capsys):
     assert isinstance(document["provenance"]["recipe_resolved"], dict)
 
 
+def test_defaults_behind_a_link_that_leads_nowhere_are_not_there(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("rigtool.toml").symlink_to("rigtool.toml")
+    code, _, err = called(capsys, "config")
+    assert (code, "rigtool.toml: is not there: 0 defaults" in err) == (0, True)
+
+
 def test_the_command_line_comes_first_and_help_needs_no_defaults(folder, capsys):
     err = called(capsys, "stribeck", "--kt", "other.h5", "--dry-run")[2]
     assert "other.h5: no such file" in err

@@ -20,7 +20,7 @@ def folder(tmp_path_factory):
     }
     for name, command in (("kt", "calibrate-kt"), ("other", "stribeck")):
         path = found / f"{name}.h5"
-        with RunWriter(path, command=command, recipe=None, recipe_text=None) as writer:
+        with RunWriter(path, command=command) as writer:
             writer.finish(constant, {})
     return found
 

@@ -180,7 +180,7 @@ import click
 @click.command()
 def command():
     with RunWriter(
-        sys.argv[1], command="x", recipe=None, recipe_text=None, recordings=SPECS
+        sys.argv[1], command="x", recordings=SPECS
     ) as out:
         out.append("holds", samples(100)["holds"])
         print("recording", flush=True)

@@ -25,7 +25,7 @@ def call(capsys, *arguments: object) -> tuple[int, str, str]:
 
 def interrupted(path):
     def stop():
-        with RunWriter(path, command="x", recipe=None, recipe_text=None, recordings=SPECS) as out:
+        with RunWriter(path, command="x", recordings=SPECS) as out:
             out.append("sweep", samples(123)["sweep"])
             raise KeyboardInterrupt
 

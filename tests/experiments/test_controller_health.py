@@ -22,7 +22,11 @@ RECIPE = load_recipe(Path(__file__).parents[2] / "recipes" / "briaire-2006.toml"
 
 def look(current=1.0, controller=0.5, distance=0.0):
     require_tracking(
-        RECIPE, largest_current=current, largest_controller=controller, distance=distance
+        RECIPE,
+        largest_current=current,
+        largest_controller=controller,
+        distance=distance,
+        remedy="use a smaller force",
     )
 
 

@@ -19,7 +19,7 @@ def calibration(path, command="calibrate-kt", **more):
         "amplifier_gain": Quantity(1.02, "1", 1.02 * 4e-4),
         **more,
     }
-    with RunWriter(path, command=command, recipe=None, recipe_text=None) as writer:
+    with RunWriter(path, command=command) as writer:
         writer.finish({name: r for name, r in results.items() if r is not None}, {})
     return open_run(path)
 
@@ -71,9 +71,7 @@ def test_a_motor_outside_the_range_of_the_mean_is_in_u_and_in_a_note(tmp_path, d
     time = np.arange(5000) / 100
     channels = (Channel("time", "s", "f8", ""), Channel("temperature", "degC", "f4", ""))
     spec = RecordingSpec("holds", channels)
-    with RunWriter(
-        tmp_path / "run.h5", command="stribeck", recipe=None, recipe_text=None, recordings=[spec]
-    ) as writer:
+    with RunWriter(tmp_path / "run.h5", command="stribeck", recordings=[spec]) as writer:
         # at the end only: the motor warmed up
         warm = np.linspace(27.5, degc, 5000)
         warm[:10] = np.nan  # as before the first reading of a thermometer

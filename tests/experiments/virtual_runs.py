@@ -30,7 +30,7 @@ QUIET = (
 
 def write_results(path, command, **results):
     """Write a run that holds nothing but results, (value, unit) or (value, unit, u) by name."""
-    with RunWriter(path, command=command, recipe=None, recipe_text=None) as writer:
+    with RunWriter(path, command=command) as writer:
         writer.finish(
             {
                 name: Quantity(value, unit, *(u or [0.0]))

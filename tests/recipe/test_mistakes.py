@@ -1,13 +1,14 @@
 """Mistakes in a recipe: what is expected, in words of its own, with what was meant."""
 
+import re
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigtool.errors import RecipeError
-from rigtool.recipe import parse_recipe
+from rigtool.errors import RecipeError, UsageError
+from rigtool.recipe import load_recipe, parse_recipe
 
 TEXT = (Path(__file__).parents[2] / "recipes" / "briaire-2006.toml").read_text("utf-8")
 
@@ -27,6 +28,9 @@ TEXT = (Path(__file__).parents[2] / "recipes" / "briaire-2006.toml").read_text("
         ("stribeck.hold_speeds=[1]", "needs 3 values at least, got [1]"),
         ("measure_force.zero=maybe", "must be true or false, got 'maybe'"),
         ("rig.name=3", "must be a text, got 3"),
+        ("rig.name=", "rig.name: must not be empty, got ''"),
+        ("calibrate_kt.rotor_positions=true", "rotor_positions: must be a number, got True"),
+        ("stribeck.hold_speeds=[5, true, 12]", "hold_speeds.1: must be a number, got True"),
     ],
 )
 def test_what_is_expected_is_said_in_words_of_the_recipe(override, message):
@@ -34,6 +38,19 @@ def test_what_is_expected_is_said_in_words_of_the_recipe(override, message):
         parse_recipe(TEXT, "r.toml", [override])
     assert message in str(caught.value)
     assert "Input should" not in str(caught.value)
+
+
+@pytest.mark.parametrize("key", ["", ".rig", "rig.", "rig..name", " "])
+def test_a_setting_without_a_key_is_shown_as_it_was_given(key):
+    with pytest.raises(UsageError, match=re.escape(f"--set '{key}=3': expected key=value")):
+        parse_recipe(TEXT, "r.toml", [f"{key}=3"])
+
+
+def test_a_recipe_in_another_code_is_refused_with_a_remedy(tmp_path):
+    path = tmp_path / "r.toml"
+    path.write_text(TEXT, encoding="utf-16")
+    with pytest.raises(RecipeError, match="byte 0 is not UTF-8; give a text, saved in UTF-8"):
+        load_recipe(path, ())
 
 
 def test_a_long_value_is_cut():

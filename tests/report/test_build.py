@@ -122,9 +122,7 @@ def test_figures_of_the_plant_are_drawn_to_the_end(make, open_all):
 
 
 def test_only_figures_whose_tables_are_there(make, open_all, tmp_path):
-    with RunWriter(
-        tmp_path / "empty.h5", command="measure-force", recipe=None, recipe_text=None
-    ) as writer:
+    with RunWriter(tmp_path / "empty.h5", command="measure-force") as writer:
         writer.finish({}, {})
     report = build_report(open_all(make("calibrate-kt"), tmp_path / "empty.h5"))
     assert [picture.number for picture in report.pictures] == [20, 107]

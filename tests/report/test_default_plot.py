@@ -10,9 +10,7 @@ from tests.runfile.whole_run import SPECS, TABLES, samples
 
 
 def drawn(path, signals, tables, name=None):
-    with RunWriter(
-        path, command="stribeck", recipe=None, recipe_text=None, recordings=SPECS
-    ) as out:
+    with RunWriter(path, command="stribeck", recordings=SPECS) as out:
         for recording, block in signals.items():
             out.append(recording, block)
         out.finish({}, tables)

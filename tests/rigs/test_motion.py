@@ -59,8 +59,16 @@ def test_speed_profile(steps, speeds):
     np.testing.assert_allclose(at_points, motion.speeds, rtol=1e-9, atol=1e-9)
 
 
-@given(angle=st.floats(-10, 10, allow_subnormal=False), duration=positive)
+def test_a_speed_held_twice_takes_no_time_between():
+    twice = SpeedProfile((0, 1, 2, 2, 3, 4), (0, 5, 5, 5, 5, 0))
+    once = SpeedProfile((0, 1, 3, 4), (0, 5, 5, 0))
+    time = np.linspace(0, 4, 401)
+    np.testing.assert_allclose(twice.setpoint(time), once.setpoint(time), rtol=0, atol=1e-12)
+    assert_consistent(twice)
+
+
 @settings(deadline=None, max_examples=20)
+@given(angle=st.floats(-10, 10, allow_subnormal=False), duration=positive)
 def test_move_ends_at_rest(angle, duration):
     motion = Move(angle, duration)
     assert_consistent(motion)

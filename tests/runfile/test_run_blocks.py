@@ -20,7 +20,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Recording]:
     path: Path = tmp_path_factory.mktemp("blocks") / "run.h5"
     torque = np.random.default_rng(1).normal(size=SIZE)
     torque[-5] = np.nan
-    with RunWriter(path, command="x", recipe=None, recipe_text=None, recordings=SPECS[1:]) as out:
+    with RunWriter(path, command="x", recordings=SPECS[1:]) as out:
         out.append("holds", {"time": np.arange(float(SIZE)), "torque": torque})
         out.finish({}, {})
     with open_run(path) as run:

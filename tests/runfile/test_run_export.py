@@ -117,7 +117,7 @@ def test_a_long_recording_is_exported_in_blocks(tmp_path, monkeypatch, ending):
 
 def test_an_empty_recording_keeps_its_columns(tmp_path):
     path = tmp_path / "run.h5"
-    with RunWriter(path, command="x", recipe=None, recipe_text=None, recordings=SPECS) as out:
+    with RunWriter(path, command="x", recordings=SPECS) as out:
         out.append("holds", samples(5)["holds"])
         out.finish({}, {})
     frame = pd.read_parquet(exported(path, tmp_path / "a.parquet", "sweep"))
@@ -202,7 +202,7 @@ def test_what_is_not_clear_is_asked(run_path, tmp_path, name, part, message):
 
 def test_a_table_and_a_recording_of_one_name_are_told_apart(tmp_path):
     path = tmp_path / "run.h5"
-    with RunWriter(path, command="x", recipe=None, recipe_text=None) as out:
+    with RunWriter(path, command="x") as out:
         out.finish({}, {"results": TABLES["breakaway"], "holds": TABLES["breakaway"]})
     exported(path, tmp_path / "a.csv", "tables/holds")
     assert (tmp_path / "a.csv").read_text().splitlines()[0] == "position [rad],positive [N m]"

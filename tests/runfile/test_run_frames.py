@@ -77,7 +77,7 @@ def test_the_page_of_a_run_shows_its_summary(run):
 def test_the_page_of_a_run_is_escaped(tmp_path):
     path = tmp_path / "run.h5"
     note = "<script>alert('torque < 0 & moving')</script>"
-    with RunWriter(path, command="stribeck", recipe=None, recipe_text=None) as writer:
+    with RunWriter(path, command="stribeck") as writer:
         writer.finish({}, {}, [note])
     with open_run(path) as run:
         assert note in "\n".join(run.summary())

@@ -246,9 +246,7 @@ def test_recovering_stops_at_damage(tmp_path):
 def test_a_killed_run_loses_less_than_a_chunk(tmp_path, chunk, whole):
     """Killed at sample 1000, as by SIGKILL: nothing is closed, nothing written any more."""
     slow = [replace(spec, chunk=chunk) for spec in SPECS]
-    writer = RunWriter(
-        tmp_path / "run.h5", command="stribeck", recipe=None, recipe_text=None, recordings=slow
-    )
+    writer = RunWriter(tmp_path / "run.h5", command="stribeck", recordings=slow)
     with writer as out:
         block = samples(1000)["sweep"]
         for start in range(0, 1000, 50):

@@ -29,7 +29,7 @@ CODE = textwrap.dedent(
     units = {"time": "s"}
     spec = RecordingSpec("long", tuple(Channel(n, units.get(n, "1"), "f8", "") for n in names))
     size, start = 100_000, most()
-    arguments = dict(command="x", recipe=None, recipe_text=None, recordings=[spec])
+    arguments = dict(command="x", recordings=[spec])
     for blocks in map(int, sys.argv[2:]):
         path = f"{sys.argv[1]}/{blocks}.h5"
         try:

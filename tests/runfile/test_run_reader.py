@@ -129,7 +129,7 @@ def test_an_unfinished_run(tmp_path):
 
 def test_a_run_that_is_being_written(tmp_path):
     path = tmp_path / "run.h5"
-    with RunWriter(path, command="x", recipe=None, recipe_text=None, recordings=SPECS[1:]) as out:
+    with RunWriter(path, command="x", recordings=SPECS[1:]) as out:
         out.append("holds", samples(10)["holds"])
         refused(Path(f"{path}.part"), "never finished|not closed")
         out.finish({}, {})
@@ -276,7 +276,7 @@ def test_recordings_by_prefix_leave_out_empty_ones(tmp_path):
     channels = SPECS[1].channels
     specs = [RecordingSpec(f"load_{number:03d}", channels) for number in range(4)]
     path = tmp_path / "run.h5"
-    with RunWriter(path, command="x", recipe=None, recipe_text=None, recordings=specs) as out:
+    with RunWriter(path, command="x", recordings=specs) as out:
         for number in (2, 0):
             out.append(f"load_{number:03d}", samples(10)["holds"])
         out.finish({}, {})
@@ -294,7 +294,7 @@ def test_a_signal_with_a_hole(tmp_path, bad):
     path = tmp_path / "run.h5"
     block = {"time": np.arange(100.0), "torque": np.zeros(100)}
     block["torque"][40] = bad
-    with RunWriter(path, command="x", recipe=None, recipe_text=None, recordings=SPECS[1:]) as out:
+    with RunWriter(path, command="x", recordings=SPECS[1:]) as out:
         out.append("holds", block)
         out.finish({}, {})
     with open_run(path) as run:
@@ -309,7 +309,7 @@ def test_a_signal_with_a_hole(tmp_path, bad):
 def test_large_numbers_are_no_hole(tmp_path):
     path = tmp_path / "run.h5"
     block = {"time": np.arange(2.0), "torque": np.full(2, 9e29)}
-    with RunWriter(path, command="x", recipe=None, recipe_text=None, recordings=SPECS[1:]) as out:
+    with RunWriter(path, command="x", recordings=SPECS[1:]) as out:
         out.append("holds", block)
         out.finish({}, {})
     with open_run(path) as run:
@@ -323,7 +323,7 @@ def test_no_signal_is_larger_than_its_unit_allows(tmp_path, unit, most, sign):
     values[3] = math.nextafter(sign * most, sign * math.inf)
     channels = (Channel("time", "s", "f8", "time"), Channel("signal", unit, "f8", "signal"))
     spec = RecordingSpec("holds", channels)
-    with RunWriter(path, command="x", recipe=None, recipe_text=None, recordings=[spec]) as out:
+    with RunWriter(path, command="x", recordings=[spec]) as out:
         out.append("holds", {"time": np.arange(5000.0), "signal": values})
         out.finish({}, {})
     with open_run(path) as run:
@@ -337,7 +337,7 @@ def test_no_signal_is_larger_than_its_unit_allows(tmp_path, unit, most, sign):
 
 def test_a_time_that_is_not_in_seconds(tmp_path):
     path = tmp_path / "run.h5"
-    with RunWriter(path, command="x", recipe=None, recipe_text=None, recordings=SPECS[1:]) as out:
+    with RunWriter(path, command="x", recordings=SPECS[1:]) as out:
         out.append("holds", {"time": np.arange(9.0) * 0.9e-9, "torque": np.zeros(9)})
         out.finish({}, {})
     with open_run(path) as run, pytest.raises(RunFileError, match="its time is not in s"):

@@ -72,9 +72,7 @@ def test_blocks_of_any_length_make_the_same_run(tmp_path_factory, cuts):
     path = tmp_path_factory.mktemp("cuts") / "run.h5"
     edges = [0, *sorted(cuts), SIZE]
     signals = samples()["holds"]
-    with RunWriter(
-        path, command="x", recipe=None, recipe_text=None, recordings=SPECS[1:]
-    ) as writer:
+    with RunWriter(path, command="x", recordings=SPECS[1:]) as writer:
         for start, stop in itertools.pairwise(edges):
             writer.append("holds", {name: v[start:stop] for name, v in signals.items()})
         np.testing.assert_array_equal(writer.recording("holds").read("torque"), signals["torque"])
@@ -90,9 +88,7 @@ def test_blocks_of_any_length_make_the_same_run(tmp_path_factory, cuts):
 def _whole_hash(factory, known: list[str] = []) -> str:  # noqa: B006 - computed once
     if not known:
         path = factory.mktemp("whole") / "run.h5"
-        with RunWriter(
-            path, command="x", recipe=None, recipe_text=None, recordings=SPECS[1:]
-        ) as writer:
+        with RunWriter(path, command="x", recordings=SPECS[1:]) as writer:
             writer.append("holds", samples()["holds"])
             writer.finish({}, {})
         with open_run(path) as run:
@@ -136,7 +132,7 @@ def quantities(draw: st.DrawFn) -> Quantity:
 )
 def test_any_results_and_tables(tmp_path_factory, results, found, notes):
     path = tmp_path_factory.mktemp("any") / "run.h5"
-    with RunWriter(path, command="x", recipe=None, recipe_text=None) as writer:
+    with RunWriter(path, command="x") as writer:
         writer.finish(results, found, notes)
     with open_run(path) as run:
         assert dict(run.results) == results

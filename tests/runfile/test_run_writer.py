@@ -292,7 +292,7 @@ def test_a_part_that_another_program_replaced_is_not_taken_for_ones_own(tmp_path
 
 @pytest.mark.parametrize(
     ("place", "message"),
-    [("nowhere/run.h5", "does not exist"), ("folder", "is a folder"), ("file/run.h5", "exist")],
+    [("nowhere/run.h5", "does not exist"), ("folder", "is a folder"), ("file/run.h5", "is a file")],
 )
 def test_a_place_that_cannot_be_written(tmp_path, place, message):
     (tmp_path / "folder").mkdir()
@@ -408,6 +408,11 @@ def test_a_disk_with_just_enough_room(tmp_path):
     assert (done.returncode, done.stdout) == (0, "")
     assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] == resource.RLIM_INFINITY
     assert 800_000 < path.stat().st_size < 10_000_000
+
+
+def test_a_name_that_ends_in_a_slash_is_that_of_a_folder():
+    with pytest.raises(UsageError, match="new/: is a folder"):
+        require_output("new/", overwrite=True)
 
 
 @pytest.mark.parametrize("name", ["loop", "d/" * 2100 + "x.h5"])

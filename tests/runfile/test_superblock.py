@@ -25,7 +25,7 @@ def part(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("killed") / "run.h5"
     child = os.fork()
     if child == 0:
-        with RunWriter(path, command="x", recipe=None, recipe_text=None, recordings=SPECS) as out:
+        with RunWriter(path, command="x", recordings=SPECS) as out:
             for name in ("sweep", "holds"):
                 out.append(name, samples(COUNT)[name])
             out._sync(force=True)

@@ -44,11 +44,11 @@ class Cycle:
 
 @dataclass(frozen=True)
 class LoadStatistics:
-    """Readings of one load: torques in N m, `error_percent` of the applied torque.
+    """Readings of one load: torques in N m.
 
     `std` is the scatter S of single readings, `u` the standard uncertainty of their mean from that
     scatter alone, with `dof` degrees of freedom. `effective_count` is the number of independent
-    readings that would have this u. `error_percent` is NaN for no load.
+    readings that would have this u.
     """
 
     mean: float
@@ -57,8 +57,6 @@ class LoadStatistics:
     effective_count: float
     u: float
     dof: float
-    error: float
-    error_percent: float
 
 
 @dataclass(frozen=True)
@@ -145,8 +143,8 @@ def readings(position: ArrayLike, torque: ArrayLike, cycles: list[Cycle], angle:
     return found
 
 
-def statistics(values: ArrayLike, applied: float) -> LoadStatistics:
-    """Summarise the readings (n,) of a load whose applied torque is known; N m.
+def statistics(values: ArrayLike) -> LoadStatistics:
+    """Summarise the readings (n,) of a load, N m.
 
     u = S / sqrt(m), where m = n (1 - r) / (1 + r) allows for a correlation r >= 0 from one reading
     to the next (first-order autoregression; Bayley and Hammersley, J. R. Stat. Soc. Suppl. 8
@@ -158,7 +156,6 @@ def statistics(values: ArrayLike, applied: float) -> LoadStatistics:
     power = float(deviation @ deviation)
     correlation = max(0.0, float(deviation[1:] @ deviation[:-1]) / power) if power > 0 else 0.0
     effective = max(2.0, x.size * (1 - correlation) / (1 + correlation))
-    error = mean - applied
     return LoadStatistics(
         mean=mean,
         std=std,
@@ -166,8 +163,6 @@ def statistics(values: ArrayLike, applied: float) -> LoadStatistics:
         effective_count=effective,
         u=std / math.sqrt(effective),
         dof=effective - 1,
-        error=error,
-        error_percent=100 * error / applied if applied else math.nan,
     )
 
 

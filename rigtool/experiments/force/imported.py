@@ -18,7 +18,6 @@ from rigtool.experiments.force.imported_strokes import read_strokes, scatter_res
 from rigtool.experiments.force_filter.accuracy import accuracy
 from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.force_sensor.results_over_time import TorqueRows, over_time_tables
-from rigtool.experiments.imported import RECORDING
 from rigtool.experiments.imported_load.basis import LoadSignals
 from rigtool.experiments.imported_load.imported_signals import REFERENCE_CHANNEL, read_all
 from rigtool.experiments.imported_load.learning import levels_of
@@ -29,6 +28,7 @@ from rigtool.experiments.imported_load.stored import load_model_from
 from rigtool.experiments.outcome import Outcome
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Run, Table
+from rigtool.runfile.schema import IMPORTED
 
 MOST_BEYOND = 0.25
 """Part of the way beyond the learned stroke from which on the encoder was zeroed elsewhere."""
@@ -77,7 +77,7 @@ def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None)
     results |= _own_results(TorqueRows.joined(rows), model)
     notes += remarks
     if all(item.signals.reference is not None for item in measured):
-        more, judged_tables, remarks = _judged(measured, rows, model)
+        more, judged_tables, remarks = _judged(measured, model)
         results |= more
         found |= judged_tables
         notes += remarks
@@ -266,7 +266,7 @@ def _reading(item: Measured) -> TorqueRows:
     """Return a run as force over time has it."""
     time, estimate = item.signals.path.time, item.estimate
     return TorqueRows(
-        name=RECORDING,
+        name=IMPORTED,
         step_time=float(time[-1] - time[0]) / max(len(time) - 1, 1),
         time=time,
         torque=np.nan_to_num(estimate.torque),  # no value: the state is that of none
@@ -296,7 +296,7 @@ def _with_motion(table: Table, measured: Sequence[Measured], direction: int) -> 
 
 
 def _judged(
-    measured: Sequence[Measured], rows: Sequence[TorqueRows], model: LoadModel
+    measured: Sequence[Measured], model: LoadModel
 ) -> tuple[dict[str, Quantity], dict[str, Table], list[str]]:
     """Return results, tables and notes of the comparison with the sensor: of strokes."""
     fast = [model.direction * m.signals.output_speed / FAST_SPEED for m in measured]

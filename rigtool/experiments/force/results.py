@@ -160,7 +160,7 @@ def load_rows(
     uncertainty of the learned table where torque is read, N m.
     """
     angle = math.radians(recipe.measure_force.measure_angle)
-    unloaded = statistics(loads[0].values, 0.0)
+    unloaded = statistics(loads[0].values)
     zero = unloaded.mean if recipe.measure_force.zero else 0.0
     # The zero reading contains the error of the table, too, and removes it; its own uncertainty
     # takes the place of the table's.
@@ -171,7 +171,7 @@ def load_rows(
         if load is loads[0]:
             found, own_u = unloaded, table_u
         else:
-            found, own_u = statistics(load.values - zero, 0.0), offset_u
+            found, own_u = statistics(load.values - zero), offset_u
         # What a load adds to ripple of i |i| grows with the current that flows without, too.
         held = abs(found.mean) / recipe.rig.torque_factor + 2 * np.mean(np.abs(load.feedforward))
         here = _with_ripple(constant, ripple(float(held) / constant.value))

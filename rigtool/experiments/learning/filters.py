@@ -47,12 +47,10 @@ class Inverse(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class LearningFilter:
-    """L(z) = z^advance * filter(z), with a proper `filter` and the treatment of the zeros of T."""
+    """L(z) = z^advance * filter(z), with a proper `filter`."""
 
     filter: TransferFunction
     advance: int
-    cancelled: ComplexArray
-    not_cancelled: ComplexArray
 
     def response(self, frequency: Array, *, shifted: bool = True) -> ComplexArray:
         """Return L (n,) at these frequencies, Hz; without `advance` where not `shifted`."""
@@ -104,7 +102,7 @@ def zpetc(system: TransferFunction, cancel_radius: float) -> LearningFilter:
         den = np.convolve(den, [1.0, 1.0])  # z: as many poles as zeros
     # The usual scale: denominator with a leading one.
     proper = TransferFunction(num / den[0], den / den[0], system.sample_time)
-    return LearningFilter(proper, advance, cancelled, others)
+    return LearningFilter(proper, advance)
 
 
 def _from_roots(roots: ComplexArray) -> Array:

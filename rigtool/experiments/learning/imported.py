@@ -25,7 +25,7 @@ from rigtool.experiments.ripple.imported_groups import (
     groups_of,
     turns_of,
 )
-from rigtool.experiments.ripple.imported_maps import MAP, SAME_MAP_VARIANCE, read_maps
+from rigtool.experiments.ripple.imported_maps import SAME_MAP_VARIANCE, read_maps
 from rigtool.experiments.ripple.orders import (
     NEIGHBOURING_ORDERS,
     Spectrum,
@@ -38,6 +38,7 @@ from rigtool.experiments.torque_per_ampere import Effort, effort_of
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity, scattered
 from rigtool.runfile import Run, Table
+from rigtool.runfile.schema import MAP
 
 MAP_POSITIONS = 2000
 """Positions of a learned map: twenty to a cycle of the highest order."""

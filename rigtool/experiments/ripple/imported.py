@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.imported import RECORDING, place, rotary_recordings
+from rigtool.experiments.imported import place, rotary_recordings
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.ripple.imported_groups import (
     GROUP_SPEED_TOLERANCE,
@@ -24,7 +24,7 @@ from rigtool.experiments.ripple.imported_groups import (
     ripple_effort,
     turns_of,
 )
-from rigtool.experiments.ripple.imported_maps import MAP, compare_maps
+from rigtool.experiments.ripple.imported_maps import compare_maps
 from rigtool.experiments.ripple.imported_turns import Turns, reduction
 from rigtool.experiments.ripple.orders import (
     HIGHEST_ORDER,
@@ -36,6 +36,7 @@ from rigtool.experiments.torque_per_ampere import Effort
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Recording, Run, Table
 from rigtool.runfile.importers.convert import irregular
+from rigtool.runfile.schema import IMPORTED, MAP
 
 NEAR_SPEED = 0.3
 """Runs whose speeds differ by less than this part may have been meant as one speed."""
@@ -94,7 +95,7 @@ def _turning(
             turning.append(recording)
         except InsufficientDataError:
             left_out.append(place(recording))
-            if recording.name == RECORDING or len(left_out) == len(recordings):
+            if recording.name == IMPORTED or len(left_out) == len(recordings):
                 raise
     return turning, turns, left_out
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.imported import RIG_CONDITIONS, moves, place, position_of
+from rigtool.experiments.imported import moves, place, position_of
 from rigtool.experiments.ripple.imported_turns import (
     CELLS_AN_ORDER,
     Turns,
@@ -26,7 +26,7 @@ from rigtool.experiments.ripple.orders import (
 )
 from rigtool.experiments.torque_per_ampere import Effort, effort_of
 from rigtool.numerics.arrays import Array, Mask
-from rigtool.recipe.mapping import CONSTANT_SPEED
+from rigtool.recipe.mapping import CONSTANT_SPEED, RIG_CONDITIONS
 from rigtool.runfile import Recording, Run
 
 GROUP_SPEED_TOLERANCE = 0.1

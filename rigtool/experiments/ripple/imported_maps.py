@@ -21,8 +21,7 @@ from rigtool.experiments.ripple.orders import HIGHEST_ORDER
 from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Run, Table
-
-MAP = "map"
+from rigtool.runfile.schema import MAP
 
 SIGNIFICANT_SHIFT = 3.0
 """Multiple of its uncertainty above which the shift of a map is significant."""

@@ -38,12 +38,9 @@ from rigtool.rigs import Block, Rig, open_rig
 from rigtool.rigs.operator import Operator
 from rigtool.runfile import RecordingSpec, Run, RunWriter, chunk_of, open_run
 from rigtool.runfile.outputs import require_output
+from rigtool.runfile.schema import IMPORT
 
 _log = logging.getLogger("rigtool")
-
-IMPORT_COMMAND = "import"
-"""Command of the runs that hold measurements of other rigs."""
-
 
 STATUS_ONLY = "status while it moves, not recorded"
 AS_IT_COMES = "as it comes"
@@ -260,7 +257,7 @@ def _analyse_stored(
 ) -> Outcome:
     with ExitStack() as stack:
         runs = [stack.enter_context(open_run(source)) for source in sources]
-        if runs[0].command == IMPORT_COMMAND and procedure.analyse_imported is not None:
+        if runs[0].command == IMPORT and procedure.analyse_imported is not None:
             return _analyse_imported(
                 procedure, procedure.analyse_imported, runs, output, options, inputs
             )
@@ -278,7 +275,6 @@ def _analyse_stored(
             output,
             command=procedure.command,
             recipe=recipe,
-            recipe_text=None,
             inputs=[*runs, *inputs.values()],
             overwrite=options.overwrite,
         ) as writer:
@@ -315,13 +311,11 @@ def _analyse_imported(
 ) -> Outcome:
     """Analyse measurements of other rigs: their runs replace the recipe."""
     for run in runs:
-        run.require_command(IMPORT_COMMAND)
+        run.require_command(IMPORT)
     settings = _imported_settings(procedure.imported_settings, options.overrides)
     with RunWriter(
         output,
         command=procedure.command,
-        recipe=None,
-        recipe_text=None,
         inputs=[*runs, *inputs.values()],
         overwrite=options.overwrite,
         rig=runs[0].rig,

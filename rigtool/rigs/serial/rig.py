@@ -96,7 +96,12 @@ class SerialRig(Rig, ABC):
 
     def _set_load(self, load: Load) -> None:
         """Apply a load, by the operator unless the rig can."""
-        self._ask_for_load(load)
+        before, self._load = self._load, load
+        # An arm that was just clamped needs no request.
+        if load in (before, replace(before, clamped=True)):
+            return
+        self._halt()
+        self._operator.done(describe_load(load, self._recipe.rig.attachment))
 
     @property
     def line(self) -> Line:
@@ -324,14 +329,6 @@ class SerialRig(Rig, ABC):
         self.line.reopen(COMING_BACK)
         self.line.settle()
         self._identity = self._connect()
-
-    def _ask_for_load(self, load: Load) -> None:
-        before, self._load = self._load, load
-        # An arm that was just clamped needs no request.
-        if load in (before, replace(before, clamped=True)):
-            return
-        self._halt()
-        self._operator.done(describe_load(load, self._recipe.rig.attachment))
 
 
 def in_thread(work: Callable[[Callable[[Block], None], threading.Event], None]) -> Iterator[Block]:

@@ -60,7 +60,7 @@ from rigtool.rigs.virtual.layout import (
     WEIGHT_MOMENT,
 )
 
-Record = Any  # the one element of a STATE or PARAMETERS array, with its fields as attributes
+Record = Any  # the one element of a STATE array or of `parameters`, with its fields as attributes
 
 _follow, _model_torque, _blend = compiled(follow), compiled(model_torque), compiled(blend)
 

@@ -1,4 +1,4 @@
-"""What the compiled step takes and returns: fields of its records, columns of its arrays."""
+"""What the compiled step takes and returns: its state, columns of its arrays."""
 
 from __future__ import annotations
 
@@ -35,75 +35,6 @@ STATE = np.dtype(
     + [("drawn", "f8", (2, 3))]
     # set point of the last sample
     + [("setpoint", "f8")]
-)
-
-PARAMETERS = np.dtype(
-    [
-        (name, "f8")
-        for name in (
-            "dt",
-            "encoder_counts",
-            "assumed_torque_constant",
-            "current_limit",
-            "inertia",
-            "torque_constant",
-            "torque_constant_coefficient",
-            "coulomb",
-            "static",
-            "stribeck_velocity",
-            "viscous",
-            "asymmetry",
-            "presliding_angle",
-            "presliding_damping",
-            "noise_decay",
-            "noise_gain",
-            "gain",
-            "offset",
-            "current_step",
-            "current_kept",
-            "ripple_step",
-            "distortion",
-            "distortion_period",
-            "resistance",
-            "winding_to_housing",
-            "winding_capacity",
-            "housing_to_ambient",
-            "housing_capacity",
-            "ambient_degc",
-            "load_torque",
-            "clamped",
-            "clamp_angle",
-            "arm_stiffness",
-            "arm_damping",
-            "instrument",
-            "angle_ratio",
-            "torque_factor",
-            "stiffness",
-            "damping",
-            "tendon_angle",
-            "tendon_speed",
-            "tendon_share",
-            "grasper_inertia",
-            "load_moment",
-            "housing_friction",
-            "housing_asymmetry",
-            "housing_viscous",
-            "housing_presliding_angle",
-            "tip_friction",
-            "tip_presliding_angle",
-            "load_friction",
-            "load_friction_onset",
-            "stroke_noise",
-            "stroke_payback",
-            "load_stroke_noise",
-            "drift_decay",
-            "drift_gain",
-            "load_inertia",
-            "inertia_per_weight",
-            "grip_stiffness",
-            "grip_damping",
-        )
-    ]
 )
 
 # Columns of the map by rotor angle, and of the map by grasper angle

@@ -13,17 +13,15 @@ from numpy.typing import NDArray
 from rigtool.control.position_loop import controller_sections
 from rigtool.errors import RecipeError
 from rigtool.numerics.arrays import Array
-from rigtool.quantity import STANDARD_GRAVITY
 from rigtool.recipe import Recipe
-from rigtool.recipe.rig import RigDescription
-from rigtool.recipe.virtual import Virtual
+from rigtool.recipe.virtual import Hand, Virtual
 from rigtool.rigs.base import Block, Feedforward, Load, Rig, Task
 from rigtool.rigs.motion import CurrentSteps, Motion, Move, Observe, OpenLoop, Path
 from rigtool.rigs.virtual import contacts, hand, kernel, layout
 from rigtool.rigs.virtual.contacts import Grip, Outside
 from rigtool.rigs.virtual.maps import friction_map, rotor_map
+from rigtool.rigs.virtual.parameters import parameters, true_rig
 from rigtool.rigs.virtual.stability import require_stable
-from rigtool.rigs.virtual.tendon import step_terms
 
 BLOCK_SAMPLES = 16384
 """Approximate number of samples simulated at a time: they fit a processor's cache."""
@@ -62,7 +60,7 @@ class VirtualRig(Rig):
                 "recipes/briaire-2006.toml shows one"
             )
         self._virtual: Virtual = recipe.virtual
-        self._rig = _true_rig(recipe.rig, recipe.virtual)
+        self._rig = true_rig(recipe.rig, recipe.virtual)
         self._stream = zlib.crc32(stream.encode())
         self._tasks = 0
         self._power_cycle = self._virtual.power_cycle
@@ -196,10 +194,7 @@ class VirtualRig(Rig):
             origin = float(here if task.start is None else task.start)
         else:
             self._setpoint = None
-        parameters = self._parameters(task.load)
-        if grip is not None:
-            parameters["grip_stiffness"] = self._virtual.hand.stiffness
-            parameters["grip_damping"] = self._virtual.hand.damping
+        record = self._parameters(task.load, None if grip is None else self._virtual.hand)
         outside = self._outside(task, grip, [*stream, CONTACTS])
         needs_time = outside is not None or not isinstance(motion, Path)
         ff = task.feedforward
@@ -216,7 +211,7 @@ class VirtualRig(Rig):
             time = (steps + 0.5) * dt
             out = np.zeros((count // every, len(layout.COLUMNS)))
             done = kernel.run(
-                parameters,
+                record,
                 self._state,
                 self._rotor_map,
                 self._friction_map,
@@ -301,94 +296,15 @@ class VirtualRig(Rig):
             block["rotor_angle"] = np.full(rows, self._clamp_angle)
         return block
 
-    def _parameters(self, load: Load) -> NDArray[np.void]:
-        """Collect the kernel's parameters for a task under this load."""
-        v, rig = self._virtual, self._rig
-        motor, amplifier, thermal = v.motor, v.amplifier, v.thermal
-        dt, tick = rig.sample_time, rig.sample_time * layout.SLOW_STEP_SAMPLES
-        instrument = rig.attachment == "instrument"
-        p = np.zeros(1, dtype=layout.PARAMETERS)
-        force = load.force * (1 + v.misstated.weights)
-        mass = force / STANDARD_GRAVITY
-        hanging = 0.0 if instrument else force * rig.pulley_radius
-        inertia = motor.inertia + (v.arm.inertia if load.clamped else 0.0)
-        if instrument:
-            inertia += v.instrument.wheel_inertia
-        else:
-            inertia += mass * rig.pulley_radius**2
-        grasper_inertia = v.instrument.grasper_inertia + mass * rig.instrument.grasper_length**2
-        mobility = 1 / (rig.instrument.angle_ratio * rig.instrument.torque_factor * inertia)
-        tendon_angle, tendon_speed, tendon_share = step_terms(
-            v.instrument.stiffness, v.instrument.damping, mobility + 1 / grasper_inertia, dt
+    def _parameters(self, load: Load, hand: Hand | None = None) -> NDArray[np.void]:
+        return parameters(
+            self._rig,
+            self._virtual,
+            load,
+            assumed_torque_constant=self._assumed_torque_constant,
+            clamp_angle=self._clamp_angle,
+            hand=hand,
         )
-        lag = 2 * math.pi * amplifier.bandwidth_hz * dt
-        noise_decay = math.exp(-tick / motor.friction_noise_time)
-        drift_decay = math.exp(-tick / v.instrument.drift_time)
-        radial = motor.radial_friction * load.radial_force * (1 + v.misstated.weights)
-        values = {
-            "dt": dt,
-            "encoder_counts": rig.encoder_counts,
-            "assumed_torque_constant": self._assumed_torque_constant,
-            "current_limit": rig.current_limit,
-            "inertia": inertia,
-            "torque_constant": motor.torque_constant,
-            "torque_constant_coefficient": motor.torque_constant_temperature_coefficient,
-            "coulomb": motor.coulomb_friction + radial,
-            "static": motor.static_friction + radial,
-            "stribeck_velocity": motor.stribeck_velocity,
-            "viscous": motor.viscous_friction,
-            "asymmetry": motor.friction_asymmetry,
-            "presliding_angle": motor.presliding_angle,
-            "presliding_damping": motor.presliding_damping,
-            "noise_decay": noise_decay,
-            "noise_gain": motor.friction_noise * math.sqrt(1 - noise_decay**2),
-            "gain": amplifier.gain,
-            "offset": amplifier.offset,
-            "current_step": -math.expm1(-lag),
-            "current_kept": -math.expm1(-lag) / lag,
-            "ripple_step": 1 - math.exp(-2 * math.pi * amplifier.ripple_corner_hz * dt),
-            "distortion": amplifier.distortion,
-            "distortion_period": amplifier.distortion_period,
-            "resistance": thermal.winding_resistance,
-            "winding_to_housing": thermal.winding_to_housing,
-            "winding_capacity": thermal.winding_capacity,
-            "housing_to_ambient": thermal.housing_to_ambient,
-            "housing_capacity": thermal.housing_capacity,
-            "ambient_degc": thermal.ambient_degc,
-            "load_torque": load.torque + hanging,
-            "clamped": load.clamped,
-            "clamp_angle": self._clamp_angle,
-            "arm_stiffness": v.arm.stiffness,
-            "arm_damping": v.arm.damping,
-            "instrument": instrument,
-            "angle_ratio": rig.instrument.angle_ratio,
-            "torque_factor": rig.instrument.torque_factor,
-            "stiffness": v.instrument.stiffness,
-            "damping": v.instrument.damping,
-            "tendon_angle": tendon_angle,
-            "tendon_speed": tendon_speed,
-            "tendon_share": tendon_share,
-            "grasper_inertia": grasper_inertia,
-            "load_moment": force * rig.instrument.grasper_length,
-            "housing_friction": v.instrument.friction,
-            "housing_asymmetry": v.instrument.friction_asymmetry,
-            "housing_viscous": v.instrument.viscous_friction,
-            "housing_presliding_angle": v.instrument.presliding_angle,
-            "tip_friction": v.instrument.tip_friction,
-            "tip_presliding_angle": v.instrument.tip_presliding_angle,
-            "load_friction": v.instrument.load_friction,
-            "load_friction_onset": v.instrument.load_friction_onset,
-            "stroke_noise": v.instrument.stroke_noise,
-            "stroke_payback": v.instrument.stroke_payback,
-            "load_stroke_noise": v.instrument.load_stroke_noise,
-            "drift_decay": drift_decay,
-            "drift_gain": v.instrument.drift * math.sqrt(1 - drift_decay**2),
-            "load_inertia": mass * rig.load_arm**2,
-            "inertia_per_weight": rig.load_arm / STANDARD_GRAVITY,
-        }
-        for name, value in values.items():
-            p[name] = value
-        return p
 
 
 def _by_samples(motion: Motion, time: Array) -> Array:
@@ -402,20 +318,3 @@ def _by_samples(motion: Motion, time: Array) -> Array:
         acceleration / 2,
     )
     return pieces
-
-
-def _true_rig(stated: RigDescription, virtual: Virtual) -> RigDescription:
-    """Return the rig as it is, where the recipe states it wrongly."""
-    wrong, arm, instrument = virtual.misstated, stated.arm, stated.instrument
-    ratio = 1 + wrong.angle_ratio
-    true_instrument = {
-        "angle_ratio": instrument.angle_ratio * ratio,
-        "torque_factor": instrument.torque_factor / ratio,
-        "grasper_length": instrument.grasper_length * (1 + wrong.grasper_length),
-    }
-    true_rig = {
-        "pulley_radius": stated.pulley_radius * (1 + wrong.pulley_radius),
-        "arm": arm.model_copy(update={"length": arm.length * (1 + wrong.arm_length)}),
-        "instrument": instrument.model_copy(update=true_instrument),
-    }
-    return stated.model_copy(update=true_rig)

@@ -19,6 +19,7 @@ from rigtool.errors import RigtoolError, RunFileError, UsageError
 from rigtool.plugins import load_all, warn
 from rigtool.quantity import Quantity
 from rigtool.recipe.mapping import Mapping
+from rigtool.runfile import schema
 from rigtool.runfile.importers import epos
 from rigtool.runfile.importers.arrays import read_arrays
 from rigtool.runfile.importers.conditions import unchanged_parts
@@ -44,9 +45,6 @@ from rigtool.runfile.writer import RunWriter
 from rigtool.signals import SIGNALS
 
 __all__ = [
-    "COMMAND",
-    "MAP",
-    "RECORDING",
     "Import",
     "Imported",
     "first_of",
@@ -55,10 +53,6 @@ __all__ = [
     "recognised",
     "understand",
 ]
-
-COMMAND = "import"
-RECORDING = "imported"
-MAP = "map"
 
 IMPORTERS = {"epos": epos.IMPORTER}
 """Formats that are recognised without a mapping, in the order in which they are tried."""
@@ -212,9 +206,7 @@ def _import_file(
     notes = [*notes, *missing]
     with RunWriter(
         here,
-        command=COMMAND,
-        recipe=None,
-        recipe_text=None,
+        command=schema.IMPORT,
         recordings=specs,
         overwrite=overwrite,
         rig=known.rig.name,
@@ -229,7 +221,7 @@ def _import_file(
 
 def _names(count: int) -> list[str]:
     """Return the names of the recordings of a file."""
-    return [RECORDING] if count == 1 else [f"{RECORDING}_{n:03d}" for n in range(count)]
+    return [schema.IMPORTED] if count == 1 else [f"{schema.IMPORTED}_{n:03d}" for n in range(count)]
 
 
 def understand(
@@ -336,12 +328,10 @@ def _import_map(
     table, notes = read_map(source, mapping)
     with RunWriter(
         here,
-        command=COMMAND,
-        recipe=None,
-        recipe_text=None,
+        command=schema.IMPORT,
         overwrite=overwrite,
         rig=mapping.rig.name,
         source=origin,
     ) as writer:
-        writer.finish(_results(0), {MAP: table}, notes)
+        writer.finish(_results(0), {schema.MAP: table}, notes)
     return Imported(source, final, table.shape[0], 0, tuple(notes))

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from rigtool.errors import RunFileError
-from rigtool.recipe.mapping import Condition, Mapping
+from rigtool.recipe.mapping import RIG_CONDITIONS, Condition, Mapping
 from rigtool.runfile.importers.convert import stem
 from rigtool.runfile.importers.raw import Raw
 from rigtool.runfile.schema import TIME
@@ -41,20 +41,10 @@ def conditions(path: Path, mapping: Mapping) -> tuple[dict[str, tuple[float, str
     Also returns notes on conditions that a name does not contain; those are left out.
     """
     notes = []
-    rig = mapping.rig
-    known = {
-        "encoder_counts": (rig.encoder_counts, "count"),
-        "torque_constant": (rig.torque_constant, "N m/A"),
-        "torque_constant_u": (rig.torque_constant_u, "N m/A"),
-        "rated_torque": (rig.rated_torque, "N m"),
-        "inertia": (rig.inertia, "kg m2"),
-        "arm_length": (rig.arm_length, "m"),
-        "gear_ratio": (rig.gear_ratio, "1"),
-        "reference_relative_u": (rig.reference_relative_u, "1"),
-        "linear_axis": (1.0 if rig.axis == "linear" else None, "1"),
-    }
     found = {
-        name: (float(value), unit) for name, (value, unit) in known.items() if value is not None
+        name: (float(value), unit)
+        for name, unit in RIG_CONDITIONS.items()
+        if (value := getattr(mapping.rig, name)) is not None
     }
     for condition in mapping.conditions:
         if condition.value is not None:

@@ -360,7 +360,7 @@ def test_the_unit_that_a_drive_takes(tmp_path):
     }
     per_ampere = 0.045 * 1.02  # of the set point, which is what a drive adds to
     path = tmp_path / "kt.h5"
-    with RunWriter(path, command="calibrate-kt", recipe=None, recipe_text=None) as writer:
+    with RunWriter(path, command="calibrate-kt") as writer:
         writer.finish(constant, {})
     table, u = turning()
     turn = position_map(table, u, 2.0)

@@ -131,7 +131,7 @@ def test_names_of_a_run_do_not_leave_the_comment(kt, tmp_path):
     hostile = "*/ #error ??/"
     rig = learned_run(tmp_path / "x?? *.h5", f"rig.name={hostile!r}")
     calibrated = tmp_path / "*??.h5"
-    with RunWriter(calibrated, command="calibrate-kt", recipe=None, recipe_text=None) as writer:
+    with RunWriter(calibrated, command="calibrate-kt") as writer:
         writer.finish(dict(kt.results), {})
     with open_run(rig) as run, open_run(calibrated) as own:
         export(run, tmp_path / "sensor.h", own)

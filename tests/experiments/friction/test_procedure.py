@@ -65,9 +65,7 @@ def extract(source, target, *names):
             )
             for part in parts
         ]
-        with RunWriter(
-            target, command="stribeck", recipe=whole.recipe, recipe_text=None, recordings=specs
-        ) as writer:
+        with RunWriter(target, command="stribeck", recipe=whole.recipe, recordings=specs) as writer:
             for part in parts:
                 block = {channel.name: part.read(channel.name) for channel in part.channels}
                 writer.append(part.name, block)

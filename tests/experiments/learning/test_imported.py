@@ -132,7 +132,7 @@ def test_another_pattern_is_no_shift(rig):
 def test_torque_with_a_calibration(rig):
     folder, paths, _ = rig
     kt = folder / "kt.h5"
-    with RunWriter(kt, command="calibrate-kt", recipe=None, recipe_text=None) as writer:
+    with RunWriter(kt, command="calibrate-kt") as writer:
         constant = {"torque_constant_mean": Quantity(0.05, "N m/A", 1e-4)}
         writer.finish({**constant, "amplifier_gain": Quantity(1.0, "1", 0.0)}, {})
     with open_run(kt) as opened:

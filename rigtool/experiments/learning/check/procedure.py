@@ -164,7 +164,7 @@ def analyse(
     position = learned.table.position
     if whole:
         rows = _turned_rows(recorded, recipe, constant, learning, position)
-        bare_motor.require_friction_fed(recorded[0], recipe, constant, fed)
+        bare_motor.require_friction_fed(recorded[0], constant, fed)
     else:
         position, rows = _moved_rows(recorded, recipe, constant, learning, learned.table)
         limited_angle.require_feedforward(recorded[0], recipe, constant, fed)

@@ -219,7 +219,7 @@ def remaining(
 
 
 def require_friction_fed(
-    recording: Recording, recipe: Recipe, torque_constant: float, fed: dict[str, Quantity]
+    recording: Recording, torque_constant: float, fed: dict[str, Quantity]
 ) -> None:
     """Raise `RunFileError` unless the turns were made with the friction that is given."""
     time = recording.read("time")
@@ -283,7 +283,7 @@ class BareMotor(Implementation[T]):
 
     def require_friction_fed(self, recording: Recording) -> None:
         """Raise `RunFileError` unless the friction that is given was fed forward."""
-        require_friction_fed(recording, self.recipe, self.torque_constant, self.friction)
+        require_friction_fed(recording, self.torque_constant, self.friction)
 
     def turned(self, recordings: Iterable[Recording]) -> list[Turned]:
         """Cut recordings into turns."""

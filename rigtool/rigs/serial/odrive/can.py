@@ -18,7 +18,14 @@ from rigtool.recipe.serial import Limits
 from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint
 from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import DamagedReply, Line, LineLost, LineTimeout
-from rigtool.rigs.serial.odrive.driver import CLOSED_LOOP, IDLE, PASSTHROUGH, TURN
+from rigtool.rigs.serial.odrive.driver import (
+    CLOSED_LOOP,
+    IDLE,
+    PASSTHROUGH,
+    STATE_ATTEMPTS,
+    TEMPERATURE_EVERY,
+    TURN,
+)
 from rigtool.rigs.serial.odrive.text import AXIS_ERRORS_05, AXIS_ERRORS_06, describe_errors
 from rigtool.rigs.serial.transport.can_frames import CanFrame, encode
 
@@ -47,12 +54,8 @@ HEARTBEAT_TIMEOUT = 1.0
 LISTENING_TIME = 0.3
 """Time for which a bus is listened to for heartbeats, s."""
 
-STATE_ATTEMPTS = 3
 HEARTBEATS_PER_ATTEMPT = 50
-"""Heartbeats, at most, in which a state is to be reached, and requests for it."""
-
-TEMPERATURE_EVERY = 50
-"""Samples for which one reading of the thermistor holds."""
+"""Heartbeats, at most, in which a state is to be reached before it is requested again."""
 
 AGREES, LEAST = 0.02, 0.05
 """Part by which the set point of current may differ from what was asked, and from which current

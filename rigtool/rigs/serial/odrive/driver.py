@@ -19,6 +19,7 @@ from rigtool.recipe import Recipe
 from rigtool.recipe.serial import Limits
 from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint, persist
 from rigtool.rigs.serial.drivers import Driver
+from rigtool.rigs.serial.hosted.loop import MAX_CORRECTION
 from rigtool.rigs.serial.line import DamagedReply, Line
 from rigtool.rigs.serial.odrive.settings import Settings, as_said
 from rigtool.rigs.serial.odrive.text import (
@@ -55,9 +56,6 @@ POLLS_PER_ATTEMPT = 20
 """Readings of the state, `POLL_INTERVAL` s apart, before it is requested again."""
 
 POLL_INTERVAL = 0.005
-
-MAX_CORRECTION = 0.3
-"""Part of an error of position that is corrected in a period at most."""
 
 TEMPERATURE_EVERY = 50
 """Samples for which one reading of the thermistor holds."""

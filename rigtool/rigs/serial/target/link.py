@@ -254,7 +254,7 @@ def pack_limits(limits: Limits, watchdog: float) -> bytes:
 
 def unpack_limits(data: bytes) -> tuple[Limits, float]:
     """Read the object of slot LIMITS."""
-    current, speed, low, high, temperature, duration, watchdog = _numbers(data, 7)
+    current, speed, low, high, temperature, duration, watchdog = read_floats(data, 7)
     limits = Limits(
         current=current,
         speed=speed,
@@ -277,7 +277,7 @@ def pack_load(load: Load) -> bytes:
 
 def unpack_load(data: bytes) -> Load:
     """Read the object of slot LOAD."""
-    force, torque, radial_force, clamped = _numbers(data, 4)
+    force, torque, radial_force, clamped = read_floats(data, 4)
     return Load(force, torque, radial_force, bool(clamped))
 
 
@@ -298,7 +298,7 @@ def unpack_table(data: bytes) -> LookupTable | None:
     if not data:
         return None
     n, m, k = _unpack(_SIZES, data)
-    values = _numbers(data[_SIZES.size :], n + m + 2 * k + n * m)
+    values = read_floats(data[_SIZES.size :], n + m + 2 * k + n * m)
     position, speed, low_speed, amplitude, torque = np.split(
         values, np.cumsum([n, m, k, k]).tolist()
     )
@@ -327,7 +327,7 @@ def pack_motion(motion: Motion | OpenLoop | Observe) -> bytes:
 
 def unpack_motion(data: bytes) -> Motion | OpenLoop:
     """Read the object of slot MOTION; `ValueError` for one that the link does not know."""
-    values = _numbers(data[1:]).tolist()
+    values = read_floats(data[1:]).tolist()
     match data[:1], len(values):
         case b"\1", count if count >= 4 and count % 2 == 0:
             return SpeedProfile(tuple(values[: count // 2]), tuple(values[count // 2 :]))
@@ -348,12 +348,8 @@ def floats(*values: float) -> bytes:
     return np.array(values, "<f8").tobytes()
 
 
-def read_floats(data: bytes) -> Array:
-    """Return the numbers that `floats` packed."""
-    return _numbers(data)
-
-
-def _numbers(data: bytes, count: int | None = None) -> Array:
+def read_floats(data: bytes, count: int | None = None) -> Array:
+    """Return the numbers that `floats` packed; ValueError unless all, or `count`, are finite."""
     if len(data) % 8 or (count is not None and len(data) != 8 * count):
         wanted = "a multiple of 8" if count is None else f"{8 * count}"
         raise ValueError(f"{len(data)} bytes of numbers, not {wanted}")
