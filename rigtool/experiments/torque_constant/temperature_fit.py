@@ -264,8 +264,7 @@ def _fit_temperature(slopes: Slopes) -> _Fit:
 def _ripple(found: AngleEffects, value: float, slopes: Slopes, *, known: bool) -> Quantity:
     """Return the relative standard deviation of r over a turn.
 
-    Friction lowers the slopes by a part `friction_share`, and their deviation by about that part
-    of it: it is added. The arm's deflection d acts in two ways, since the angle changes with the
+    The arm's deflection d acts in two ways, since the angle changes with the
     torque within a staircase: order k of the ripple is turned by k d, its size changes by up to
     `SMEARED` (k d)2; and order k of the torque without current adds k d of that over the largest
     current, which is taken off. The gauge rounds each staircase by its own zero: `Slopes.rounding`
@@ -275,7 +274,7 @@ def _ripple(found: AngleEffects, value: float, slopes: Slopes, *, known: bool) -
     carried, left, begin = _carried(slopes) if known else (np.zeros(len(order)), 0.0, 0.0)
     square = found.amplitudes**2
     own = found.deviation**2 + float(np.sum((found.amplitudes - carried) ** 2 - square)) / 2
-    deviation = math.sqrt(max(own, 0.0)) * (1 + _slid(slopes) * slopes.friction_share)
+    deviation = math.sqrt(max(own, 0.0))
     angle = math.hypot(slopes.deflection, slopes.deflection_u)
     turned = float(np.sum(square * (order * angle) ** 2) / max(np.sum(square), 1e-300))
     path = math.hypot(deviation, begin) * RIPPLE_PATH_U * slopes.friction_share
@@ -291,14 +290,6 @@ def _ripple(found: AngleEffects, value: float, slopes: Slopes, *, known: bool) -
         error_line("gauge resolution", math.sqrt(float(np.mean(rounding**2))) / value, "1"),
     ]
     return combined(deviation / value, "1", lines)
-
-
-def _slid(slopes: Slopes) -> float:
-    """Return the part of its way for which friction slides in a staircase: contacts that only bend
-    take the same part of all slopes, which the fit gives back."""
-    if slopes.transition is None:
-        return 1.0
-    return -math.expm1(-slopes.span / slopes.transition)
 
 
 def _first_ripple(slopes: Slopes) -> Quantity:
