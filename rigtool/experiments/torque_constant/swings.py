@@ -152,8 +152,9 @@ def _torque_changes(
         rate = rate + rest / size[:, None]
     steps = np.diff(columns[1:], axis=1, prepend=columns[1:, :1])
     mean_steps = (torque.mean(axis=0) @ inverse)[1:] @ steps
-    mean_steps[0] = np.inf  # no step leads to the first plateau
-    return score, rate, np.stack([found - ripple, ripple]) @ steps / mean_steps
+    still = mean_steps == 0  # the first plateau, and those that lengthen a shorter staircase
+    grown = np.stack([found - ripple, ripple]) @ steps / np.where(still, np.inf, mean_steps)
+    return score, rate, grown
 
 
 def _swing_changes(
@@ -162,10 +163,10 @@ def _swing_changes(
     """Return by how much swings (m, p, c) differ from their `average` (p, c), without noise.
 
     Swings grow as their steps do, `grown` (2, m, p): with the constant at once, but an amplifier's
-    ripple may follow a step of the current with a lag. Its course is then the mean course (from the
-    `torque` (p,) before) behind a low-pass of first order, in `part` (p,) s from value to value;
-    lags are averaged over, each as probable as it leaves the swings. What else
-    stands out of the noise where swings grow with all of a staircase is added.
+    ripple may follow a step of the current with a lag: its course is the mean course behind a
+    low-pass of first order, from the `torque` (p,) before, with `part` (p,) s between two values.
+    Lags are averaged over, each as probable as what it leaves. What else stands out of the noise in
+    proportion to the staircase is added.
     """
     with_constant, with_ripple = grown
     found: Array = with_constant[:, :, None] * average
