@@ -45,7 +45,8 @@ class Courses:
 
     `torque` (g, p) in N m is that of the settled plateaus, `course` (g, p, c) over the whole of
     each, `part` (g, p) the time between two values of the course, s; `noise` (g,) in N m the
-    standard deviation of one. Each of m staircases is of a `kind` (m,) and differs from its mean by
+    standard deviation of one, and `dropped` (g, p, c) what was taken off the mean courses as
+    noise. Each of m staircases is of a `kind` (m,) and differs from its mean by
     `score` (m, r) of r changes: by `torque_rate` (g, r, p) in N m of the settled torques, and in
     all by the swings `swing_change` (m, p, c), N m.
     """
@@ -55,6 +56,7 @@ class Courses:
     course: Array
     part: Array
     noise: Array
+    dropped: Array
     kind: NDArray[np.int64]
     score: Array
     torque_rate: Array
@@ -65,6 +67,10 @@ class Courses:
         change = np.einsum("mr,mrp->mp", self.score, self.torque_rate[self.kind])
         course = self.course[self.kind] + change[:, :, None] + self.swing_change
         return self.torque[self.kind] + change, course
+
+    def with_noise(self) -> Courses:
+        """Return the courses with what was taken off the mean ones."""
+        return replace(self, course=self.course + self.dropped)
 
     def less(self, torque: Array, rate: Array) -> Courses:
         """Return the courses without parts (g, p) of their torques and (g, r, p) of the rates."""
@@ -120,6 +126,7 @@ def mean_courses(
         course=courses[:, :, None] + np.stack(smooth),
         part=mean(duration) / course.shape[2],
         noise=np.array(left),
+        dropped=mean(swing) - np.stack(smooth),
         kind=kind.astype(np.int64),
         score=score,
         torque_rate=np.stack(rates),

@@ -135,6 +135,16 @@ def test_swings_follow_the_constant_at_once_and_ripple_with_its_lag(lag):
     assert np.abs(response).max() < 0.12
 
 
+def test_what_is_taken_off_the_mean_course_as_noise_can_be_put_back():
+    rng = np.random.default_rng(8)
+    one = swinging(0.8)
+    course = one.course + 0.05 * rng.standard_normal((8, *one.course.shape[1:]))
+    every = [np.tile(values, (8, 1)) for values in (one.setpoint, one.torque, one.part * PARTS)]
+    found = mean_courses(*every[:2], course, every[2], np.zeros(8), noise=0.05)
+    assert_allclose(np.std(found.dropped), 0.05 / np.sqrt(8), rtol=0.3)
+    assert_allclose(found.with_noise().course[0], course.mean(axis=0), atol=1e-12)
+
+
 def test_few_staircases_swing_as_their_torque_is_large():
     one, factor = swinging(0.8), np.array([0.97, 1.0, 1.03])
     torque = one.torque * factor[:, None]
