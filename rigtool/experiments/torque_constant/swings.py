@@ -185,7 +185,7 @@ def _swing_changes(
     lags = np.append(0.0, np.geomspace(np.max(part), LONGEST_RIPPLE_LAG * np.max(part), LAGS))
     lagged = np.stack([_behind(average, torque, lag / part) for lag in lags])
     square = float(np.sum(rest**2)) + np.sum(power * lagged**2 - 2 * matched * lagged, axis=(1, 2))
-    variance = max(float(square.min()) / rest.size, noise**2, 1e-300)
+    variance = max(float(square.min()) / rest.size, 1e-300)
     probable = np.exp(-(square - square.min()) / (2 * variance))
     course = np.tensordot(probable / probable.sum(), lagged, 1)
     found = found + with_ripple[:, :, None] * course
