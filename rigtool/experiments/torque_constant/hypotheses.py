@@ -343,14 +343,13 @@ class _Means:
 
     def smooth(self, common: Common) -> None:
         """Take off the courses what a hypothesis leaves of the mean torques, as noise; and off
-        their rates what its columns leave of these: noise, rounding, and what ripple bends.
-
-        The bend is no column of a single staircase. In the path of friction it would be one, and
-        count as friction that helps the motor.
-        """
+        their rates what its columns, and the ripple's i |i|, leave of these: noise and rounding."""
         noise = self.residual(common).reshape(self._weight.shape)
-        rest = _left(self._columns(common), self.stairs.courses.torque_rate)
-        self.stairs = replace(self.stairs, courses=self.stairs.courses.less(noise, rest))
+        courses = self.stairs.courses
+        columns = self._columns(common)
+        columns.append(columns[0] * np.abs(columns[0]))
+        rest = [_left(columns, rate) for rate in np.moveaxis(courses.torque_rate, 1, 0)]
+        self.stairs = replace(self.stairs, courses=courses.less(noise, np.stack(rest, axis=1)))
 
     def _columns(self, common: Common) -> list[Array]:
         """Return the columns of (1) on the mean staircases, current first, (g, p) each."""

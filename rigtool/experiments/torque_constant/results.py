@@ -56,6 +56,7 @@ def _results(found: Calibration, reading_relative_u: float) -> dict[str, Quantit
     heat_loss = [
         error_line("scatter over the angles", slopes.lasting_heating_u, "1/A2", slopes.heating_dof),
         error_line("time constant of the winding", slopes.lasting_heating_spread, "1/A2"),
+        error_line("noise in the swings", slopes.lasting_heating_path, "1/A2"),
     ]
     results = {
         "torque_constant": found.torque_constant,

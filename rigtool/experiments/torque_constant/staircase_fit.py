@@ -6,7 +6,7 @@ The model is equation (1) of `rigtool.experiments.torque_constant.staircase_mode
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -55,7 +55,8 @@ class Slopes:
     `heating` is the relative amount by which heat in the winding lowered the slopes on average,
     `heating_u` its standard uncertainty with `heating_dof`; `lasting_heating` 1/A2 is what a
     current lowers the constant by within `HEATING_TIME`, over its square, `lasting_heating_u` its
-    standard uncertainty from scatter and `lasting_heating_spread` that from tau; `friction_u` the
+    standard uncertainty from scatter, `lasting_heating_spread` that from tau and
+    `lasting_heating_path` that from noise in the swings, friction's path; `friction_u` the
     relative standard uncertainty from the model of friction with `friction_dof`, `friction_share`
     the relative part by which friction changes a straight line's slope; `resolution_u` that from
     the resolution of the gauge, `rounding` (places, m) in N m/A what it adds to each slope with the
@@ -83,6 +84,7 @@ class Slopes:
     lasting_heating: float
     lasting_heating_u: float
     lasting_heating_spread: float
+    lasting_heating_path: float
     friction_u: float
     friction_dof: float
     friction_share: float
@@ -119,6 +121,8 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     solution = _solve(stairs, hypotheses.best, coefficient, rise)
     constant = hypotheses.constant
     lasting = solution.loss * hypotheses.best.warming()
+    noisy = replace(stairs, courses=stairs.courses.with_noise())
+    along_noise = _solve(noisy, hypotheses.best, coefficient, rise).loss
     share = abs(straight_slope(stairs) / constant - 1 + solution.heating)
     rounding = _rounding_errors(stairs, solution.fit)
     resolution_u, trend_resolution_u = (_rms(rounding @ each) for each in (average, trend))
@@ -151,6 +155,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
             hypotheses.heat_loss - lasting,
             lasting * hypotheses.untried,
         ),
+        lasting_heating_path=abs(along_noise * hypotheses.best.warming() - lasting),
         friction_u=math.hypot(u, hypotheses.spread) / constant,
         friction_dof=dof,
         friction_share=share,

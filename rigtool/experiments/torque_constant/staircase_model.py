@@ -111,7 +111,12 @@ def arrange(plateaus: Plateaus) -> Stairs:
         position=plateaus.position[place],
         count=float(plateaus.count.max()),
         courses=mean_courses(
-            setpoint, torque, plateaus.course[place], end - begin, _course_noise(plateaus)
+            setpoint,
+            torque,
+            plateaus.course[place],
+            end - begin,
+            mean_of(plateaus.temperature[place], weight),
+            _course_noise(plateaus),
         ),
         last_step=np.diff(setpoint, axis=1, prepend=setpoint[:, :1]) * weight,
         resolution=float(plateaus.resolution.max()),

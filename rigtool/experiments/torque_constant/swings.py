@@ -26,7 +26,11 @@ LARGEST_DAMPING = 0.6
 """Damping ratio of an arm each of whose swings is a tenth of the one before."""
 
 FEWEST_FOR_RATE = 6
-"""Fewest staircases of a kind that show how courses change with the size of the torque."""
+"""Fewest staircases of a kind that show how swings change with the size of the torque."""
+
+LONGEST_RIPPLE_LAG, LAGS = 48.0, 24
+"""Longest lag with which ripple may follow a step, in values of a course, and lags that are tried
+beside none."""
 
 NOISE_RANGE = 6.0
 """Turns count beyond this many standard deviations of the noise, whose own range is about 5."""
@@ -41,9 +45,10 @@ class Courses:
 
     `torque` (g, p) in N m is that of the settled plateaus, `course` (g, p, c) over the whole of
     each, `part` (g, p) the time between two values of the course, s; `noise` (g,) in N m the
-    standard deviation of one; `kind` (m,) the kind of each staircase, and `scale` (m,) its torque
-    relative to the mean of its kind. `torque_rate` and `course_rate` are the changes of torque and
-    course with that scale: where friction holds the arm back, swings change more than torque does.
+    standard deviation of one, and `dropped` (g, p, c) what was taken off the mean courses as
+    noise. Each of m staircases is of a `kind` (m,) and differs from its mean by
+    `score` (m, r) of r changes: by `torque_rate` (g, r, p) in N m of the settled torques, and in
+    all by the swings `swing_change` (m, p, c), N m.
     """
 
     setpoint: Array
@@ -51,34 +56,44 @@ class Courses:
     course: Array
     part: Array
     noise: Array
+    dropped: Array
     kind: NDArray[np.int64]
-    scale: Array
+    score: Array
     torque_rate: Array
-    course_rate: Array
+    swing_change: Array
 
     def of_each(self) -> tuple[Array, Array]:
         """Return torque (m, p) and course (m, p, c) of each staircase without its own noise."""
-        size = (self.scale - 1)[:, None]
-        torque = self.torque[self.kind] + size * self.torque_rate[self.kind]
-        return torque, self.course[self.kind] + size[:, :, None] * self.course_rate[self.kind]
+        change = np.einsum("mr,mrp->mp", self.score, self.torque_rate[self.kind])
+        course = self.course[self.kind] + change[:, :, None] + self.swing_change
+        return self.torque[self.kind] + change, course
+
+    def with_noise(self) -> Courses:
+        """Return the courses with what was taken off the mean ones."""
+        return replace(self, course=self.course + self.dropped)
 
     def less(self, torque: Array, rate: Array) -> Courses:
-        """Return the courses without parts (g, p) of their torques and of the rates of these."""
+        """Return the courses without parts (g, p) of their torques and (g, r, p) of the rates."""
         return replace(
             self,
             torque=self.torque - torque,
             course=self.course - torque[:, :, None],
             torque_rate=self.torque_rate - rate,
-            course_rate=self.course_rate - rate[:, :, None],
         )
 
 
 def mean_courses(
-    setpoint: Array, torque: Array, course: Array, duration: Array, noise: float
+    setpoint: Array,
+    torque: Array,
+    course: Array,
+    duration: Array,
+    temperature: Array,
+    noise: float,
 ) -> Courses:
     """Average set points (m, p), torques, courses (m, p, c) and durations over equal staircases.
 
-    `noise` in N m is the standard deviation of one value of a course.
+    `temperature` (m,) is that of each, degC; `noise` in N m the standard deviation of one value of
+    a course.
     """
     step = 2e-3 * max(float(np.ptp(setpoint)), 1e-12)
     kind = np.unique(np.round(setpoint / step), axis=0, return_inverse=True)[1].reshape(-1)
@@ -87,24 +102,23 @@ def mean_courses(
     def mean(values: Array) -> Array:
         return np.stack([values[those].mean(axis=0) for those in kinds])
 
-    rise, of_kind = (values - values.mean(axis=1)[:, None] for values in (torque, mean(torque)))
-    scale = np.sum(rise * of_kind[kind], axis=1) / np.sum(of_kind**2, axis=1)[kind]
     swing = course - torque[:, :, None]
-    smooth, torque_rate, swing_rate, left = [], [], [], []
+    smooth, left, rates = [], [], []
+    score, swing_change = np.empty((len(torque), 3)), np.empty(course.shape)
     for those in kinds:
         average, left_here = without_noise(
             swing[those].mean(axis=0), noise / math.sqrt(those.sum())
         )
         smooth.append(average)
         left.append(left_here)
-        torque_rate.append(torque[those].mean(axis=0))
-        swing_rate.append(average)
-        size = scale[those] - 1
-        power = float(size @ size)
-        if len(size) >= FEWEST_FOR_RATE and power > 0:
-            torque_rate[-1] = np.tensordot(size, torque[those], 1) / power
-            rate = np.tensordot(size, swing[those], 1) / power
-            swing_rate[-1] = without_noise(rate, noise / math.sqrt(power))[0]
+        score[those], rate, grown = _torque_changes(
+            setpoint[those][0], torque[those], temperature[those]
+        )
+        rates.append(rate)
+        part = duration[those].mean(axis=0) / course.shape[2]
+        swing_change[those] = _swing_changes(
+            grown, swing[those], average, torque[those].mean(axis=0), part, noise
+        )
     courses = mean(torque)
     return Courses(
         setpoint=mean(setpoint),
@@ -112,11 +126,87 @@ def mean_courses(
         course=courses[:, :, None] + np.stack(smooth),
         part=mean(duration) / course.shape[2],
         noise=np.array(left),
+        dropped=mean(swing) - np.stack(smooth),
         kind=kind.astype(np.int64),
-        scale=scale,
-        torque_rate=np.stack(torque_rate),
-        course_rate=np.stack(torque_rate)[:, :, None] + np.stack(swing_rate),
+        score=score,
+        torque_rate=np.stack(rates),
+        swing_change=swing_change,
     )
+
+
+def _torque_changes(
+    setpoint: Array, torque: Array, temperature: Array
+) -> tuple[Array, Array, Array]:
+    """Return by how much (m, 3) equal staircases of torques (m, p) differ from their mean, what
+    each of these changes does to the torque (3, p), and the relative changes (2, m, p) of what the
+    current adds with each step: with the `temperature` (m,), and with the angle.
+
+    The changes are by temperature, and by ripple in proportion to the set point (p,) and to its
+    i |i|; where enough staircases show it, also what friction makes of them.
+    """
+    columns = np.stack([np.ones(len(setpoint)), setpoint, setpoint * np.abs(setpoint)])
+    inverse = np.linalg.pinv(columns)
+    off = torque - torque.mean(axis=0)
+    found = (off @ inverse)[:, 1:]
+    warm = temperature - temperature.mean()
+    warm /= max(float(np.linalg.norm(warm)), 1e-300)
+    ripple = found - np.outer(warm, warm @ found)
+    score = np.column_stack([warm, ripple])
+    rate = np.stack([warm @ found @ columns[1:], *columns[1:]])
+    if len(torque) >= FEWEST_FOR_RATE:
+        size = np.maximum(np.linalg.norm(score, axis=0), 1e-300)
+        rest = np.linalg.lstsq(score / size, off - score @ rate, rcond=None)[0]
+        rate = rate + rest / size[:, None]
+    steps = np.diff(columns[1:], axis=1, prepend=columns[1:, :1])
+    mean_steps = (torque.mean(axis=0) @ inverse)[1:] @ steps
+    still = mean_steps == 0  # the first plateau, and those that lengthen a shorter staircase
+    grown = np.stack([found - ripple, ripple]) @ steps / np.where(still, np.inf, mean_steps)
+    return score, rate, grown
+
+
+def _swing_changes(
+    grown: Array, swing: Array, average: Array, torque: Array, part: Array, noise: float
+) -> Array:
+    """Return by how much swings (m, p, c) differ from their `average` (p, c), without noise.
+
+    Swings grow as their steps do, `grown` (2, m, p): with the constant at once, but an amplifier's
+    ripple may follow a step of the current with a lag: its course is the mean course behind a
+    low-pass of first order, from the `torque` (p,) before, with `part` (p,) s between two values.
+    Lags are averaged over, each as probable as what it leaves. What else stands out of the noise in
+    proportion to the staircase is added.
+    """
+    with_constant, with_ripple = grown
+    found: Array = with_constant[:, :, None] * average
+    if len(swing) < FEWEST_FOR_RATE:
+        return found + with_ripple[:, :, None] * average
+    rest = swing - average - found
+    matched = np.einsum("mp,mpc->pc", with_ripple, rest)
+    power = np.sum(with_ripple**2, axis=0)[:, None]
+    lags = np.append(0.0, np.geomspace(np.max(part), LONGEST_RIPPLE_LAG * np.max(part), LAGS))
+    lagged = np.stack([_behind(average, torque, lag / part) for lag in lags])
+    square = float(np.sum(rest**2)) + np.sum(power * lagged**2 - 2 * matched * lagged, axis=(1, 2))
+    variance = max(float(square.min()) / rest.size, 1e-300)
+    probable = np.exp(-(square - square.min()) / (2 * variance))
+    course = np.tensordot(probable / probable.sum(), lagged, 1)
+    found = found + with_ripple[:, :, None] * course
+    for size in grown.mean(axis=2):
+        root = max(float(np.linalg.norm(size)), 1e-300)
+        own = without_noise(np.tensordot(size / root, swing - average - found, 1), noise)[0]
+        found = found + (size / root)[:, None, None] * own
+    return found
+
+
+def _behind(swing: Array, torque: Array, lag: Array) -> Array:
+    """Return swings (p, c) behind a low-pass whose lag (p,) is in values of the course; before each
+    plateau is the torque of the one before (p,)."""
+    keeps = np.exp(-1 / np.maximum(lag, 1e-6))
+    state = np.concatenate([[0.0], torque[:-1] - torque[1:]])
+    found = np.empty(swing.shape)
+    for k, value in enumerate(swing.T):
+        kept = keeps if k else np.sqrt(keeps)  # a value is the mean over its part of the time
+        state = value + kept * (state - value)
+        found[:, k] = state
+    return found
 
 
 def without_noise(values: Array, noise: float) -> tuple[Array, float]:

@@ -18,13 +18,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.torque_constant.ripple_over_turn import (
+    first_ripple,
+    ripple_over_turn,
+    stated_ripple,
+)
 from rigtool.experiments.torque_constant.staircase import Linearity, Plateaus, amplifier_linearity
 from rigtool.experiments.torque_constant.staircase_fit import (
     SAME_TEMPERATURE,
     Slopes,
     fit_staircases,
 )
-from rigtool.numerics.angle_effects import AngleEffects, fit_angle_effects
+from rigtool.numerics.angle_effects import fit_angle_effects
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.turn_mean import group_angles
 from rigtool.quantity import (
@@ -38,32 +43,13 @@ from rigtool.quantity import (
     input_line,
 )
 
-PATH_U, TREND_U = 0.3, 0.29
+PATH_U, TREND_U = 0.3, 0.2
 """What no law of one exponent shows, since friction changes the path that it follows: standard
 uncertainty of a slope, times the squared part that friction takes of it, and of the change of that
-part with temperature, relative: that is up to 0.5 (a rectangular distribution, GUM 4.3.7)."""
-
-RIPPLE_PATH_U = 0.25
-"""Standard uncertainty of what friction takes of the ripple, relative: its path follows each
-staircase, from the torque with which it begins, and of its law only the mean of all is known."""
-
-SMEARED = 0.05
-"""Change of the slope of u exp(i a u) over a staircase of u from 0 to 1, in a2: its line of least
-squares has 1 + i a - 0.45 a2, and that from end to end exp(i a)."""
-
-ALIKE = 6**-0.5
-"""Root mean square of the part that two patterns of six orders have in common by chance."""
-
-SMALLEST_PART = 100.0
-"""Range of the torques without current, over the errors of it that are considered at least."""
+part with temperature, relative: that is up to 0.35 (a rectangular distribution, GUM 4.3.7)."""
 
 LINEARITY_LIMIT = 5e-3
 """Largest deviation of the amplifier from a straight line, relative to the span."""
-
-
-RIPPLE_ANGLES = 13
-"""Rotor angles from which the ripple has an uncertainty: with fewer, orders of a turn up to the
-sixth may show nothing, or a part that their phase decides (two angles an order, and one)."""
 
 FEW_ANGLES = 8
 """Rotor angles below which the constant may hide ripple that they do not show."""
@@ -164,8 +150,8 @@ def calibrate(
         coefficient=law.stated(law.coefficient(), "1/K") if fit.slope_known else None,
         mean=law.stated(mean, "N m/A"),
         constant_error=law.constant_error(mean, (low, high)) if fit.slope_known else None,
-        ripple=_stated_ripple(fit),
-        first_ripple=_first_ripple(slopes) if fit.angles >= 3 else None,
+        ripple=stated_ripple(fit.ripple, fit.angles, fit.single),
+        first_ripple=first_ripple(slopes) if fit.angles >= 3 else None,
         temperature=temperature,
         value=value,
         u=np.array([point.u for point in points]),
@@ -255,111 +241,16 @@ def _fit_temperature(slopes: Slopes) -> _Fit:
         gain=1 + found.effect / value,
         scatter=scatter / value,
         turn=math.sqrt(value_u**2 - scatter**2) / value,
-        ripple=_ripple(found, value, slopes, known=not unknown),
+        ripple=ripple_over_turn(found, value, slopes, known=not unknown),
         single=math.hypot(float(np.median(slopes.u)) / value, slopes.resolution_u),
         angles=0 if unknown else len(group_angles(slopes.rotor_angle)[0]),
     )
-
-
-def _ripple(found: AngleEffects, value: float, slopes: Slopes, *, known: bool) -> Quantity:
-    """Return the relative standard deviation of r over a turn.
-
-    Friction lowers the slopes by a part `friction_share`, and their deviation by about that part
-    of it: it is added. The arm's deflection d acts in two ways, since the angle changes with the
-    torque within a staircase: order k of the ripple is turned by k d, its size changes by up to
-    `SMEARED` (k d)2; and order k of the torque without current adds k d of that over the largest
-    current, which is taken off. The gauge rounds each staircase by its own zero: `Slopes.rounding`
-    is what that adds to the slopes.
-    """
-    order = np.repeat(np.arange(1, len(found.amplitudes) // 2 + 1), 2)
-    carried, left, begin = _carried(slopes) if known else (np.zeros(len(order)), 0.0, 0.0)
-    square = found.amplitudes**2
-    own = found.deviation**2 + float(np.sum((found.amplitudes - carried) ** 2 - square)) / 2
-    deviation = math.sqrt(max(own, 0.0)) * (1 + _slid(slopes) * slopes.friction_share)
-    angle = math.hypot(slopes.deflection, slopes.deflection_u)
-    turned = float(np.sum(square * (order * angle) ** 2) / max(np.sum(square), 1e-300))
-    path = math.hypot(deviation, begin) * RIPPLE_PATH_U * slopes.friction_share
-    smear = deviation * SMEARED * turned
-    more = math.hypot(deviation, left) - deviation  # of phases that have nothing in common
-    effect = found.effect - np.mean(found.effect)
-    errors = slopes.rounding - slopes.rounding.mean(axis=1, keepdims=True)
-    rounding = np.std(effect + errors, axis=1) - np.std(effect)
-    lines = [
-        error_line("scatter", found.deviation_u / value, "1", found.deviation_dof),
-        error_line("path of friction", path / value, "1"),
-        error_line("deflection of the arm", math.hypot(smear, more, ALIKE * left) / value, "1"),
-        error_line("gauge resolution", math.sqrt(float(np.mean(rounding**2))) / value, "1"),
-    ]
-    return combined(deviation / value, "1", lines)
-
-
-def _slid(slopes: Slopes) -> float:
-    """Return the part of its way for which friction slides in a staircase: contacts that only bend
-    take the same part of all slopes, which the fit gives back."""
-    if slopes.transition is None:
-        return 1.0
-    return -math.expm1(-slopes.span / slopes.transition)
-
-
-def _first_ripple(slopes: Slopes) -> Quantity:
-    """Return the relative standard deviation over a turn of the slopes where the current is small.
-
-    Of the scatter about a line over temperature, what each slope scatters by itself is taken off,
-    but for the standard deviation of that.
-    """
-    degree = int(np.ptp(slopes.temperature) > SAME_TEMPERATURE)
-    line = np.polyfit(slopes.temperature, slopes.first, degree)
-    rest = slopes.first - np.polyval(line, slopes.temperature)
-    free = max(len(rest) - degree - 1, 1)
-    own = float(np.mean(slopes.first_u**2))
-    square = max(float(rest @ rest) / free - own, 0.0) + own * math.sqrt(2 / free)
-    ripple = math.sqrt(square) * (1 + slopes.friction_share) / abs(float(np.mean(slopes.first)))
-    return Quantity(ripple, "1", reason="a size of what single staircases show")
-
-
-def _carried(slopes: Slopes) -> tuple[Array, float, float]:
-    """Return amplitudes (2 K,) of slopes, N m/A, by torque without current that changes with the
-    angle, which the arm's deflection changes with the torque; the standard deviation over a turn
-    of what stays unknown of these; and that of the torque itself, over the largest current."""
-    noise = np.full(len(slopes.zero), max(float(np.ptp(slopes.zero)), 1e-12) / SMALLEST_PART)
-    zero = fit_angle_effects(np.ones((len(noise), 1)), slopes.zero, noise, slopes.rotor_angle)
-    cosine, sine = zero.amplitudes.reshape(-1, 2).T / float(np.ptp(slopes.level))
-    order = np.arange(1, len(cosine) + 1)
-    moved = (cosine - 1j * sine) * np.expm1(1j * order * slopes.deflection)
-    rate = math.sqrt(float(np.sum(order**2 * (cosine**2 + sine**2))) / 2)
-    unknown = slopes.deflection * zero.deviation_u / max(zero.deviation, 1e-300)
-    carried = np.stack([moved.real, -moved.imag], axis=1).ravel()
-    begin = zero.deviation / float(np.ptp(slopes.level))
-    return carried, rate * math.hypot(slopes.deflection_u, unknown), begin
 
 
 def _hidden(fit: _Fit) -> float:
     """Return the relative u of orders that are multiples of the number of angles, beyond `turn`."""
     few = 2 <= fit.angles < FEW_ANGLES
     return math.sqrt(max(HIDDEN_RIPPLE**2 - fit.turn**2, 0.0)) if few else 0.0
-
-
-def _stated_ripple(fit: _Fit) -> Quantity | None:
-    """Return the ripple: without uncertainty from few angles, None from less than three.
-
-    Of n angles around a turn, the orders that are multiples of n show nothing, and those of n/2 as
-    much as their phase allows.
-    """
-    if fit.angles < 3:
-        return None
-    if fit.angles < RIPPLE_ANGLES:
-        reason = (
-            f"{fit.angles} rotor angles do not show all orders: their ripple may be larger; clamp "
-            f"the arm at {RIPPLE_ANGLES} or more"
-        )
-        return Quantity(fit.ripple.value, "1", reason=reason)
-    if fit.ripple.value < fit.single:
-        reason = (
-            f"a single staircase scatters by {100 * fit.single:.2g} %, more than the ripple that "
-            "shows: it may hide there; take a finer or quieter gauge, or raise current_max"
-        )
-        return Quantity(fit.ripple.value, "1", reason=reason)
-    return fit.ripple
 
 
 @dataclass(frozen=True)

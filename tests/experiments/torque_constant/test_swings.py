@@ -23,7 +23,7 @@ def swinging(size: float):
     swing = size * np.exp(-12 * time) * -np.cos(2 * np.pi * 6 * time)
     step = np.diff(torque, axis=1, prepend=0.0)
     course = torque[:, :, None] + step[:, :, None] * swing
-    return mean_courses(torque, torque, course, np.ones(torque.shape), noise=1e-6)
+    return mean_courses(torque, torque, course, np.ones(torque.shape), np.zeros(1), noise=1e-6)
 
 
 def test_the_path_leads_from_plateau_to_plateau_by_its_turns():
@@ -99,12 +99,58 @@ def test_noise_of_courses_is_taken_off_and_swings_are_kept():
     assert_allclose(left, error, rtol=0.5)
 
 
-def test_the_rate_of_the_course_holds_torque_and_swing():
-    # Staircases of one set point whose torque and swing differ by a factor: the rate is the course.
-    one, factor = swinging(0.8), np.linspace(0.97, 1.03, 12)
-    torque = np.array([[0.0, 1.0, 2.0, 1.0, 0.0]]) * factor[:, None]
+RIPPLE = 0.02 * np.tile([1.0, 0.3, -1.0, -0.3], 4)
+WARM = np.repeat([20.0, 40.0], 8)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.03, 0.2])
+def test_swings_follow_the_constant_at_once_and_ripple_with_its_lag(lag):
+    """Against the courses of a linear arm whose torque is k i, and k i r behind a low-pass."""
+    rng = np.random.default_rng(7)
+    setpoint = np.array([0.0, 1.0, 2.0, 3.0, 2.0, 1.0, 0.0])
+    time = np.arange(1, PARTS * 8 + 1) / (PARTS * 8)
+    answer = late = 1 - np.exp(-12 * time) * np.cos(2 * np.pi * 6 * time)
+    if lag:
+        kernel = np.exp(-time / lag)
+        late = np.convolve(answer, kernel / kernel.sum() * -np.expm1(-1 / lag))[: len(time)]
+    step = np.diff(setpoint, prepend=0.0)
+    at_once, behind = (np.reshape(each, (PARTS, 8)).mean(axis=1) for each in (answer, late))
+    constant = 1 - 1e-3 * (WARM - 30)
+    torque = constant[:, None] * (1 + RIPPLE)[:, None] * setpoint
+
+    def of(size, response):
+        before = size[:, None] * (setpoint - step)
+        return before[:, :, None] + (size[:, None] * step)[:, :, None] * response
+
+    course = of(constant, at_once) + of(constant * RIPPLE, behind)
+    noisy = course + 0.02 * rng.standard_normal(course.shape)
+    found = mean_courses(
+        np.tile(setpoint, (16, 1)), torque, noisy, np.ones(torque.shape), WARM, noise=0.02
+    )
+    own_torque, own_course = found.of_each()
+    assert_allclose(own_torque, torque, atol=1e-9)
+    error = (own_course - course)[:, 1:]
+    assert np.sqrt(np.mean(error**2)) < 0.02 / 4  # the mean has the noise of 16, or less
+    response = np.tensordot(RIPPLE, error, 1) / np.sum(RIPPLE**2)
+    assert np.abs(response).max() < 0.12
+
+
+def test_what_is_taken_off_the_mean_course_as_noise_can_be_put_back():
+    rng = np.random.default_rng(8)
+    one = swinging(0.8)
+    course = one.course + 0.05 * rng.standard_normal((8, *one.course.shape[1:]))
+    every = [np.tile(values, (8, 1)) for values in (one.setpoint, one.torque, one.part * PARTS)]
+    found = mean_courses(*every[:2], course, every[2], np.zeros(8), noise=0.05)
+    assert_allclose(np.std(found.dropped), 0.05 / np.sqrt(8), rtol=0.3)
+    assert_allclose(found.with_noise().course[0], course.mean(axis=0), atol=1e-12)
+
+
+def test_few_staircases_swing_as_their_torque_is_large():
+    one, factor = swinging(0.8), np.array([0.97, 1.0, 1.03])
+    torque = one.torque * factor[:, None]
     course = one.course * factor[:, None, None]
-    setpoint = np.tile(one.setpoint, (12, 1))
-    found = mean_courses(setpoint, torque, course, np.ones(torque.shape), noise=1e-9)
-    assert_allclose(found.torque_rate, one.torque, rtol=0, atol=1e-9)
-    assert_allclose(found.course_rate, one.course, rtol=0, atol=1e-6)
+    setpoint = np.tile(one.setpoint, (3, 1))
+    warm = np.array([20.0, 30.0, 40.0])
+    found = mean_courses(setpoint, torque, course, np.ones(torque.shape), warm, noise=1e-9)
+    for mean, own in zip((torque, course), found.of_each(), strict=True):
+        assert_allclose(own, mean, rtol=0, atol=1e-6)

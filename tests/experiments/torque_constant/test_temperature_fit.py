@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant import staircase_fit
 from rigtool.experiments.torque_constant.hypotheses import weigh_hypotheses
+from rigtool.experiments.torque_constant.ripple_over_turn import ripple_over_turn
 from rigtool.experiments.torque_constant.staircase import amplifier_linearity, plateaus_of_set_point
 from rigtool.experiments.torque_constant.staircase_fit import (
     _solve,
@@ -24,7 +25,6 @@ from rigtool.experiments.torque_constant.staircase_model import HEATING_TIME, Co
 from rigtool.experiments.torque_constant.temperature_fit import (
     Calibration,
     _fit_temperature,
-    _ripple,
     calibrate,
 )
 from rigtool.numerics.angle_effects import AngleEffects
@@ -224,24 +224,20 @@ def test_what_the_ripple_is_uncertain_by(thesis):
     amplitudes[4] = 2e-4  # cosine of order 3
     found = AngleEffects(*([np.zeros(1)] * 4), 2e-4 / np.sqrt(2), 1e-6, 10.0, amplitudes)
     none = {"friction_share": 0.0, "deflection": 0.0, "deflection_u": 0.02}
-    none |= {"rounding": np.zeros((1, len(thesis.slopes.zero))), "transition": None}
+    none |= {"rounding": np.zeros((1, len(thesis.slopes.zero)))}
     bare = replace(thesis.slopes, zero=0.0 * thesis.slopes.zero, **none)
     deflected = found.deviation * 0.05 * (3 * 0.02) ** 2
 
     def of(**changes) -> tuple[float, float, float]:
-        ripple = _ripple(found, 0.045, replace(bare, **changes), known=True)
+        ripple = ripple_over_turn(found, 0.045, replace(bare, **changes), known=True)
         return ripple.value * 0.045, ripple.u * 0.045, ripple.dof
 
     value, u, dof = of()
     assert_allclose([value, u], [found.deviation, np.hypot(1e-6, deflected)], rtol=1e-6)
     assert_allclose(dof, 10.0 * (u / 1e-6) ** 4, rtol=1e-6)
     value, u, _ = of(friction_share=0.1)
-    assert_allclose(value, 1.1 * found.deviation)
-    parts = 1e-6, 1.1 * deflected, 0.025 * 1.1 * found.deviation
-    assert_allclose(u, np.linalg.norm(parts), rtol=1e-6)
-    # contacts that hardly slide within the staircases take the same part of the ripple as of them
-    value, *_ = of(friction_share=0.1, transition=10 * bare.span)
-    assert_allclose(value, (1 + 0.1 * (1 - np.exp(-0.1))) * found.deviation)
+    assert_allclose(value, found.deviation)
+    assert_allclose(u, np.linalg.norm([1e-6, deflected, 0.025 * found.deviation]), rtol=1e-6)
     # 1 mN m of order 2 without current: its slope over the angle, times 0.02 rad
     _, u, _ = of(zero=1e-3 * np.cos(2 * bare.rotor_angle + 0.3))
     carried = 2e-3 / np.sqrt(2) * 0.02 / np.ptp(bare.level)
@@ -250,7 +246,7 @@ def test_what_the_ripple_is_uncertain_by(thesis):
     _, own, _ = of(friction_share=0.1)
     offset = 1e-3 * np.cos(2 * bare.rotor_angle)
     _, u, _ = of(friction_share=0.1, zero=offset, deflection_u=0.0)
-    own = math.sqrt(own**2 - (1.1 * deflected) ** 2)
+    own = math.sqrt(own**2 - deflected**2)
     assert_allclose(u, np.hypot(own, 0.025 * 1e-3 / np.sqrt(2) / np.ptp(bare.level)), rtol=0.02)
 
 
