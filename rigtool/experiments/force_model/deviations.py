@@ -5,7 +5,9 @@ What a cycle's torque deviates from the mean cycle is, along a stroke,
     e = d (b1 sin a + b2 cos a + b3 s / n) + f,   b1, b2 ~ N(0, S^2),  b3 ~ N(0, L^2)
 
 with f a first-order process of variance F^2 and memory T, and white noise of the readings. S, L, F
-and T are those under which the cycles of all recordings are most likely.
+and T are those under which the cycles of all recordings are most likely. The mean of n cycles takes
+its own variance away: of strokes, of which it keeps the part k (`kept_by_mean`), 1 - k/n is left,
+of f, which does not pay back, 1 - 1/n.
 """
 
 from __future__ import annotations
@@ -49,12 +51,14 @@ class Deviations:
 @dataclass(frozen=True, eq=False)
 class _Stroke:
     """What strokes deviate by at their rows (strokes, m), and there (m, m) the products of shapes
-    that each stroke draws anew and in proportion to the load, and the time between rows, s."""
+    that each stroke draws anew and in proportion to the load, and the time between rows, s; the
+    mean that was taken away is that of `count` cycles."""
 
     own: Array
     alike: Array
     loaded: Array
     apart: Array
+    count: int
 
 
 def deviations(records: Sequence[Record], angle_ratio: float, torque_factor: float) -> Deviations:
@@ -69,7 +73,7 @@ def deviations(records: Sequence[Record], angle_ratio: float, torque_factor: flo
     start = np.log([size, 0.01, size, 0.1])
     if not strokes:
         return Deviations(*np.exp(start).tolist())
-    white = (0.05 * size) ** 2
+    white, kept = (0.05 * size) ** 2, kept_by_mean(records, angle_ratio)
 
     def cost(x: Array) -> float:
         stroke, load, noise, memory = np.exp(
@@ -78,7 +82,8 @@ def deviations(records: Sequence[Record], angle_ratio: float, torque_factor: flo
         memory = np.sqrt(memory)
         total = 0.01 * float(np.sum((x - start) ** 2))
         for s in strokes:
-            whole = stroke * s.alike + load * s.loaded + noise * np.exp(-s.apart / memory)
+            whole = (1 - kept / s.count) * (stroke * s.alike + load * s.loaded)
+            whole += (1 - 1 / s.count) * noise * np.exp(-s.apart / memory)
             whole[np.diag_indices_from(whole)] += white
             factor = np.linalg.cholesky(whole)
             total += len(s.own) * 2 * float(np.sum(np.log(np.diag(factor))))
@@ -111,7 +116,7 @@ def _strokes(record: Record, angle_ratio: float, torque_factor: float) -> list[_
         time = np.unwrap(place[rows], period=record.count / ROWS_HZ)
         sides = np.stack([np.sin(a), np.cos(a)])
         apart = np.abs(time[:, None] - time)
-        found.append(_Stroke(own, sides.T @ sides, np.outer(carried, carried), apart))
+        found.append(_Stroke(own, sides.T @ sides, np.outer(carried, carried), apart, record.cycles))
     return found
 
 

@@ -199,6 +199,19 @@ def test_what_friction_deviates_is_measured():
     assert 50e-3 / plant.FACTOR * found.load < found.stroke / 2  # nothing grew with the load
 
 
+@pytest.mark.parametrize("payback", [0.0, 0.9])
+def test_a_few_cycles_show_as_much_as_many(payback):
+    """What their mean takes away of each of three is given back."""
+    records = [
+        strokes(0.0, 1.0, cycles=3, deviation=0.4e-3, payback=payback, seed=seed)
+        for seed in range(24)
+    ]
+    assert {record.cycles for record in records} == {3}
+    found = deviations(records, plant.RATIO, plant.FACTOR)
+    expected = 0.4e-3 * np.hypot(1, payback)
+    assert found.stroke == pytest.approx(expected, rel=0.13)
+
+
 def test_cycles_that_differ_by_more_than_friction_does_do_not_repeat():
     every = [
         strokes(load, 1.0, cycles=8, deviation=deviation, seed=seed)
