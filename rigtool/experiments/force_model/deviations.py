@@ -27,6 +27,13 @@ ROWS_APART = 5
 MIN_STROKE_ROWS = 20
 """Fewest compared rows with which a stroke shows slow deviations."""
 
+UNSEEN_PART = 0.03
+"""Of the friction, by which strokes deviate where none is long enough to show it: tendons of an
+instrument deviated by 2.6 % (J. J. Briaire 2006, Table 9)."""
+
+UNSEEN_FRICTION = 3e-3
+"""Friction where there are no strokes at all, N m."""
+
 MAX_SCATTER_RATIO = 3.0
 """Scatter of a motion's cycles, in that of most motions, above which they do not repeat."""
 
@@ -61,18 +68,20 @@ class _Stroke:
     count: int
 
 
-def deviations(records: Sequence[Record], angle_ratio: float, torque_factor: float) -> Deviations:
+def deviations(
+    records: Sequence[Record], angle_ratio: float, torque_factor: float
+) -> Deviations | None:
     """Return the deviations that repeated motions show; records that do not repeat are passed over.
 
-    Without enough cycles in any, the values with which the search begins.
+    None where no stroke is long enough, or is made three times.
     """
     from scipy.optimize import minimize
 
     strokes = [s for r in records if r.cycles > 2 for s in _strokes(r, angle_ratio, torque_factor)]
-    size = max((float(np.sqrt(np.mean(s.own**2))) for s in strokes), default=1e-4)
-    start = np.log([size, 0.01, size, 0.1])
     if not strokes:
-        return Deviations(*np.exp(start).tolist())
+        return None
+    size = max(float(np.sqrt(np.mean(s.own**2))) for s in strokes)
+    start = np.log([size, 0.01, size, 0.1])
     white, kept = (0.05 * size) ** 2, kept_by_mean(records, angle_ratio)
 
     def cost(x: Array) -> float:
@@ -92,6 +101,13 @@ def deviations(records: Sequence[Record], angle_ratio: float, torque_factor: flo
 
     found = minimize(cost, start, method="Nelder-Mead", options={"maxiter": 300, "fatol": 0.5})
     return Deviations(*np.exp(found.x).tolist())
+
+
+def unseen_deviations(records: Sequence[Record]) -> Deviations:
+    """Return what is assumed where strokes do not show how they deviate: a part of the friction."""
+    levels = [np.sqrt(np.mean(r.torques[:, r.used] ** 2)) for r in records if r.cycles]
+    friction = float(min(levels, default=UNSEEN_FRICTION))
+    return Deviations(UNSEEN_PART * friction, 0.01, 0.01 * friction, 0.1)
 
 
 def _strokes(record: Record, angle_ratio: float, torque_factor: float) -> list[_Stroke]:
@@ -116,7 +132,8 @@ def _strokes(record: Record, angle_ratio: float, torque_factor: float) -> list[_
         time = np.unwrap(place[rows], period=record.count / ROWS_HZ)
         sides = np.stack([np.sin(a), np.cos(a)])
         apart = np.abs(time[:, None] - time)
-        found.append(_Stroke(own, sides.T @ sides, np.outer(carried, carried), apart, record.cycles))
+        alike, loaded = sides.T @ sides, np.outer(carried, carried)
+        found.append(_Stroke(own, alike, loaded, apart, record.cycles))
     return found
 
 
