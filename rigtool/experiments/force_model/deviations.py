@@ -12,6 +12,7 @@ of f, which does not pay back, 1 - 1/n.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -32,7 +33,7 @@ UNSEEN_PART = 0.03
 instrument deviated by 2.6 % (J. J. Briaire 2006, Table 9)."""
 
 UNSEEN_FRICTION = 3e-3
-"""Friction where there are no strokes at all, N m."""
+"""Friction where there are no strokes without load at all, N m."""
 
 MAX_SCATTER_RATIO = 3.0
 """Scatter of a motion's cycles, in that of most motions, above which they do not repeat."""
@@ -105,8 +106,9 @@ def deviations(
 
 def unseen_deviations(records: Sequence[Record]) -> Deviations:
     """Return what is assumed where strokes do not show how they deviate: a part of the friction."""
-    levels = [np.sqrt(np.mean(r.torques[:, r.used] ** 2)) for r in records if r.cycles]
-    friction = float(min(levels, default=UNSEEN_FRICTION))
+    rows = [r.torques[:, r.used].ravel() for r in records if r.cycles and not r.moment]
+    seen = np.concatenate(rows) if rows else np.empty(0)
+    friction = math.sqrt(np.mean(seen**2)) if seen.size else UNSEEN_FRICTION
     return Deviations(UNSEEN_PART * friction, 0.01, 0.01 * friction, 0.1)
 
 

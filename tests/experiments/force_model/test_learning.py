@@ -286,7 +286,7 @@ def test_what_strokes_pay_back_hardly_moves_their_mean(payback, low, high):
 
 
 def test_without_cycles_nothing_is_claimed_to_be_measured():
-    fast = [strokes(0.0, 4.0, cycles=6, deviation=0.4e-3)]
+    fast = [strokes(load, 4.0, cycles=6, deviation=0.4e-3) for load in (0.0, 50e-3)]
     for records in ([], fast):
         assert deviations(records, plant.RATIO, plant.FACTOR) is None
         assert unseen_deviations(records).stroke > 0
