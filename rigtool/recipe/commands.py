@@ -136,7 +136,12 @@ class LearnLoads(Section):
     speeds_rev_per_s: tuple[Positive, ...] = Field(
         (0.2, 0.5, 1, 2), min_length=1, description="of the output, rev/s"
     )
-    cycles: int = Field(30, ge=4, description="rising and falling, for each load and speed")
+    cycles: int = Field(
+        30,
+        ge=5,
+        description="rising and falling, for each load and speed; 3 whole ones between those that "
+        "run in and out show how strokes scatter",
+    )
     record_every: int = Field(16, ge=1, description="samples averaged into a recorded one")
 
     @model_validator(mode="after")

@@ -29,6 +29,7 @@ OWN_TARGET = "recipes/own-target.toml"
         ("rig.sample_time=1e-9", "1e-06 to 86400 s"),
         ("measure_force.forces=[60e3]", "to 10000 N"),
         ("measure_force.cycles=1000000000", "at most 100000"),
+        ("ilc_learn.loads.cycles=4", "at least 5"),
         ("virtual.instrument.stiffness=1e12", "to 1e+09 N m/rad"),
         ("virtual.motor.friction_asymmetry=1e6", "0 to 100 relative"),
         ("virtual.amplifier.gain=1e9", "1000"),

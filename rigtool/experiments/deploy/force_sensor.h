@@ -128,12 +128,14 @@ struct rs_model {
     rs_real row_begins, row_ends, row_changes, row_least, row_evidence, row_certain, row_largest;
     rs_real row_recognised;
     /* states */
-    rs_real sliding, slow, speed_limit, torque_limit, current_limit, largest_current, cold, warm;
+    rs_real sliding, slow, crawling, speed_limit, torque_limit;
+    rs_real current_limit, largest_current, cold, warm;
     int32_t lowest, highest; /* counts */
     /* the reading: low-pass q' = A q + B M, y = C q + D M, and u^2 = (c s)^2 + (g y)^2 of its
      * deviation s, by state, and while the rotor creeps; the ripple's variance is added */
     rs_real low_pass[RS_ORDER + 1][RS_ORDER + 1], settled[RS_ORDER], scales[RS_KINDS][2], coverage;
-    rs_real no_current, open_variances[RS_KINDS]; /* what friction leaves open without a current */
+    /* what friction leaves open without a current, and where the rotor crawls besides */
+    rs_real no_current, open_variances[2][RS_KINDS];
 };
 
 @DATA@
@@ -166,7 +168,7 @@ struct rigtool_sensor {
     int none_before, none_steps, idle; /* without a current: a sample, steps so far, for long */
     rs_real turn; /* of the output at this count, in turns */
     rs_real at, sine, cosine; /* of the output at the begin of the step */
-    int begun, samples, creeps;
+    int begun, samples, creeps, crawls;
     /* the row that is filled, torque first; and what was known of the ripple, the earlier first */
     struct rs_shown shown[RS_WAVES];
     rs_real gain[RS_STATES], stroke;
@@ -1073,6 +1075,7 @@ static inline int rs_outside(
     rs_real time = (rs_real)steps * m->step_time;
     rs_real warm = (s->temperature_before + s->temperature) / 2;
     s->creeps = RS_MATH(fabs)(way) < m->slow * time;
+    s->crawls = s->idle && RS_MATH(fabs)(way) < m->crawling * time;
     return s->encoder < m->lowest || s->encoder > m->highest
         || RS_MATH(fabs)(way) > m->speed_limit * time
         || RS_MATH(fabs)(torque) > m->torque_limit || warm < m->cold || warm > m->warm;
@@ -1131,8 +1134,8 @@ static inline int rs_read(struct rigtool_sensor *s)
     i = now->state <= RIGTOOL_SENSOR_WITH && s->creeps ? RS_CREEPING : (int)now->state;
     scales = rs_model.scales[i];
     variance *= rs_square(scales[0]);
-    if (s->idle && variance < rs_model.open_variances[i])
-        variance = rs_model.open_variances[i];
+    if (s->idle && variance < rs_model.open_variances[s->crawls][i])
+        variance = rs_model.open_variances[s->crawls][i];
     now->u = RS_MATH(sqrt)(variance + rs_square(scales[1] * torque) + other);
     half = rs_model.coverage * now->u;
     now->low = torque - half;

@@ -209,6 +209,7 @@ def _states(instrument: SensorProperties) -> dict[str, Number]:
         "sliding": motion_states.SLIDING_DEFLECTION,
         "speed_limit": motion_states.LARGEST_LEARNED_RATIO * reach.speed,
         "slow": reach.slow,
+        "crawling": instrument.judge(causal=True).crawling,
         "torque_limit": motion_states.LARGEST_LEARNED_RATIO * reach.torque,
         "current_limit": AT_THE_LIMIT * instrument.current_limit,
         "largest_current": instrument.current_limit,
@@ -226,7 +227,7 @@ def _reading(instrument: SensorProperties, coverage_factor: float) -> dict[str, 
         "scales": instrument.model.scales[1],
         "coverage": coverage_factor,
         "no_current": NO_CURRENT,
-        "open_variances": instrument.open_variances,
+        "open_variances": instrument.open_variances[1:],
     }
 
 

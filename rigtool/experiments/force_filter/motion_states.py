@@ -23,6 +23,7 @@ from rigtool.experiments.force_filter.highest import highest
 from rigtool.numerics.arrays import Array, Mask
 
 States = NDArray[np.int32]
+Idling = NDArray[np.int8]
 
 STILL_TIME = 0.1
 """Within this time, s, a rotor that stands still passes one edge of the encoder at most."""
@@ -169,6 +170,19 @@ class Judge:
         slow = np.abs(self._mean_speed(moments.low)) < self.reach.slow
         found: States = np.where(sliding & slow, CREEPING_KIND, states).astype(np.int32)
         return found
+
+    def idling(self, moments: Moments) -> Idling:
+        """Return 1 where the motor has had no current, 2 where the rotor crawls besides: one count
+        at most within `SPEED_TIME`; else 0, (m,)."""
+        found = moments.idle.astype(np.int8)
+        if found.any():
+            found[moments.idle & (np.abs(self._mean_speed(moments.low)) < self.crawling)] = 2
+        return found
+
+    @property
+    def crawling(self) -> float:
+        """Mean speed below which a rotor crawls, rad/s: rounding does not choose the side."""
+        return 1.5 * self.count / SPEED_TIME
 
     def _highest(self, values: Array, span: float) -> Array:
         """Return the highest value within a span of time, s, about each step or up to it."""

@@ -5,11 +5,14 @@ What a cycle's torque deviates from the mean cycle is, along a stroke,
     e = d (b1 sin a + b2 cos a + b3 s / n) + f,   b1, b2 ~ N(0, S^2),  b3 ~ N(0, L^2)
 
 with f a first-order process of variance F^2 and memory T, and white noise of the readings. S, L, F
-and T are those under which the cycles of all recordings are most likely.
+and T are those under which the cycles of all recordings are most likely. The mean of n cycles takes
+its own variance away: of strokes, of which it keeps the part k (`kept_by_mean`), 1 - k/n is left,
+of f, which does not pay back, 1 - 1/n.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -24,6 +27,13 @@ ROWS_APART = 5
 
 MIN_STROKE_ROWS = 20
 """Fewest compared rows with which a stroke shows slow deviations."""
+
+UNSEEN_PART = 0.03
+"""Of the friction, by which strokes deviate where none is long enough to show it: tendons of an
+instrument deviated by 2.6 % (J. J. Briaire 2006, Table 9)."""
+
+UNSEEN_FRICTION = 3e-3
+"""Friction where there are no strokes without load at all, N m."""
 
 MAX_SCATTER_RATIO = 3.0
 """Scatter of a motion's cycles, in that of most motions, above which they do not repeat."""
@@ -49,27 +59,31 @@ class Deviations:
 @dataclass(frozen=True, eq=False)
 class _Stroke:
     """What strokes deviate by at their rows (strokes, m), and there (m, m) the products of shapes
-    that each stroke draws anew and in proportion to the load, and the time between rows, s."""
+    that each stroke draws anew and in proportion to the load, and the time between rows, s; the
+    mean that was taken away is that of `count` cycles."""
 
     own: Array
     alike: Array
     loaded: Array
     apart: Array
+    count: int
 
 
-def deviations(records: Sequence[Record], angle_ratio: float, torque_factor: float) -> Deviations:
+def deviations(
+    records: Sequence[Record], angle_ratio: float, torque_factor: float
+) -> Deviations | None:
     """Return the deviations that repeated motions show; records that do not repeat are passed over.
 
-    Without enough cycles in any, the values with which the search begins.
+    None where no stroke is long enough, or is made three times.
     """
     from scipy.optimize import minimize
 
     strokes = [s for r in records if r.cycles > 2 for s in _strokes(r, angle_ratio, torque_factor)]
-    size = max((float(np.sqrt(np.mean(s.own**2))) for s in strokes), default=1e-4)
-    start = np.log([size, 0.01, size, 0.1])
     if not strokes:
-        return Deviations(*np.exp(start).tolist())
-    white = (0.05 * size) ** 2
+        return None
+    size = max(float(np.sqrt(np.mean(s.own**2))) for s in strokes)
+    start = np.log([size, 0.01, size, 0.1])
+    white, kept = (0.05 * size) ** 2, kept_by_mean(records, angle_ratio)
 
     def cost(x: Array) -> float:
         stroke, load, noise, memory = np.exp(
@@ -78,7 +92,8 @@ def deviations(records: Sequence[Record], angle_ratio: float, torque_factor: flo
         memory = np.sqrt(memory)
         total = 0.01 * float(np.sum((x - start) ** 2))
         for s in strokes:
-            whole = stroke * s.alike + load * s.loaded + noise * np.exp(-s.apart / memory)
+            whole = (1 - kept / s.count) * (stroke * s.alike + load * s.loaded)
+            whole += (1 - 1 / s.count) * noise * np.exp(-s.apart / memory)
             whole[np.diag_indices_from(whole)] += white
             factor = np.linalg.cholesky(whole)
             total += len(s.own) * 2 * float(np.sum(np.log(np.diag(factor))))
@@ -87,6 +102,14 @@ def deviations(records: Sequence[Record], angle_ratio: float, torque_factor: flo
 
     found = minimize(cost, start, method="Nelder-Mead", options={"maxiter": 300, "fatol": 0.5})
     return Deviations(*np.exp(found.x).tolist())
+
+
+def unseen_deviations(records: Sequence[Record]) -> Deviations:
+    """Return what is assumed where strokes do not show how they deviate: a part of the friction."""
+    rows = [r.torques[:, r.used].ravel() for r in records if r.cycles and not r.moment]
+    seen = np.concatenate(rows) if rows else np.empty(0)
+    friction = math.sqrt(np.mean(seen**2)) if seen.size else UNSEEN_FRICTION
+    return Deviations(UNSEEN_PART * friction, 0.01, 0.01 * friction, 0.1)
 
 
 def _strokes(record: Record, angle_ratio: float, torque_factor: float) -> list[_Stroke]:
@@ -111,7 +134,8 @@ def _strokes(record: Record, angle_ratio: float, torque_factor: float) -> list[_
         time = np.unwrap(place[rows], period=record.count / ROWS_HZ)
         sides = np.stack([np.sin(a), np.cos(a)])
         apart = np.abs(time[:, None] - time)
-        found.append(_Stroke(own, sides.T @ sides, np.outer(carried, carried), apart))
+        alike, loaded = sides.T @ sides, np.outer(carried, carried)
+        found.append(_Stroke(own, alike, loaded, apart, record.cycles))
     return found
 
 

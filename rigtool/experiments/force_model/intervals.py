@@ -15,8 +15,8 @@ and not how far the friction is off that they gave. The score is least where 95 
 within h, whatever their tails: friction's are heavy after reversals and at rest. All that lies
 within `INDEPENDENT_TIME` counts as one error; normal errors of deviation s, `EXPECTED` in number,
 count besides. While the rotor slides, s follows from hundreds of strokes, so that they are many
-there. Known loads do not change while the rotor stands still, as others may: errors at rest show no
-less than c = 1 there.
+there, but where no stroke has shown s. Known loads do not change while the rotor stands still, as
+others may: errors at rest show no less than c = 1 there.
 """
 
 from __future__ import annotations
@@ -82,8 +82,9 @@ def uncertainty_of_kinds(
     return u
 
 
-def scales(parts: Sequence[Errors]) -> Array:
-    """Return c and g of each kind, of smoothed and of causal torque, (2, kinds, 2)."""
+def scales(parts: Sequence[Errors], *, shown: bool = True) -> Array:
+    """Return c and g of each kind, of smoothed and of causal torque, (2, kinds, 2); `shown` states
+    whether strokes have shown how they deviate."""
     error, deviation = (
         np.hstack([getattr(part, name) for part in parts]) for name in ("error", "deviation")
     )
@@ -97,7 +98,7 @@ def scales(parts: Sequence[Errors]) -> Array:
         chosen = np.isin(kinds, together)
         expected, own_free = EXPECTED, free
         if State.AGAINST in together:
-            expected, own_free = SLIDING_EXPECTED, free & unseen
+            expected, own_free = SLIDING_EXPECTED if shown else EXPECTED, free & unseen
             own_free = own_free if (own_free & chosen).sum() >= MIN_STEPS else free
         least = 1.0 if together == (State.STILL,) else FACTORS[0]
         if chosen.sum() >= MIN_STEPS:

@@ -19,6 +19,7 @@ from rigtool.experiments.force_model.deviations import (
     deviations,
     kept_by_mean,
     scatter_ratios,
+    unseen_deviations,
 )
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.intervals import TIME_APART, Errors, scales
@@ -77,12 +78,13 @@ def exploring(recipe: Recipe, number: int = 0) -> SpeedProfile:
 class LearnedForce:
     """The `model` of motor and instrument, and what `sliding` alone shows, from the strokes under
     known loads `strokes` by the names of their recordings; `scatter` is that of their cycles, in
-    that of most strokes."""
+    that of most strokes, `shown` whether they show how strokes deviate."""
 
     model: ForceModel
     sliding: SlidingFit
     strokes: dict[str, Record]
     scatter: dict[str, float]
+    shown: bool
 
 
 def learn_force(
@@ -119,7 +121,8 @@ def learn_force(
         rig.nominal_inertia,
         kt.result("amplifier_offset", "A").value if "amplifier_offset" in kt.results else 0.0,
     )
-    deviating = deviations(records, known.angle_ratio, known.torque_factor)
+    seen = deviations(records, known.angle_ratio, known.torque_factor)
+    deviating = seen or unseen_deviations(records)
     kept = math.sqrt(kept_by_mean(records, known.angle_ratio))
     of_means = replace(deviating, stroke=kept * deviating.stroke, load=kept * deviating.load)
     sliding = learn_sliding(records, known, own.count, of_means)
@@ -138,7 +141,8 @@ def learn_force(
     if checks:
         errors = [_errors(r, recipe, kt, model, creeping) for r in checks]
         fitted = [_errors(r, recipe, kt, model, creeping) for r in _compared(strokes)]
-        widths = scales([*errors, *(replace(own, fitted=True) for own in fitted)])
+        parts = [*errors, *(replace(own, fitted=True) for own in fitted)]
+        widths = scales(parts, shown=seen is not None)
         # as far as the known loads are off, so is all that is read in terms of them
         widths[..., 1] = np.hypot(widths[..., 1], rig.loads_relative_u)
         model = replace(model, scales=widths)
@@ -148,7 +152,7 @@ def learn_force(
     tried = [_trial(*one, recipe, model, creeping) for one in free]
     # Faster motion with smaller errors must not lower the thresholds of slow motion
     limits = np.maximum(thresholds(tried), thresholds(tried[: 1 + len(slow)]))
-    return LearnedForce(replace(model, limits=limits), sliding, loaded, scatter)
+    return LearnedForce(replace(model, limits=limits), sliding, loaded, scatter, seen is not None)
 
 
 def untouched_motions(

@@ -18,6 +18,7 @@ from rigtool.experiments.force_filter.estimate import Again, Estimate, Filter, S
 from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_filter.motion_states import (
     KIND_COUNT,
+    Idling,
     Judge,
     Moments,
     Reach,
@@ -60,20 +61,23 @@ class SensorProperties:
     @property
     def open_variances(self) -> Array:
         """Variance of the torque that friction leaves open where the motor has no current, N2 m2,
-        by the kind of motion: that of a rectangle.
+        (3, kinds), by `Judge.idling` and the kind of motion: that of a rectangle.
 
         It is as wide as friction where the rotor rests, which may hold either way, and after a
-        reversal as what friction changes by within a count, about rest.
+        reversal as what friction changes by within a count, about rest. What changes by friction
+        in the time of a rest changes by half of it in half the time, in which a rotor that crawls
+        after a reversal passes one count.
         """
         plant = self.model.plant(self.grid.sample_time)
         bearings, housing = plant.static, plant.housing_friction
         slope = bearings / (plant.resting_part * plant.presliding_angle)
         if housing > 0:
             slope += housing / plant.housing_presliding_angle
-        found = np.zeros(KIND_COUNT)
-        found[State.STILL] = (plant.coulomb + housing) ** 2 / 3
-        found[State.REVERSED] = min((slope * self.count / 2) ** 2 / 3, found[State.STILL])
-        open_: Array = plant.torque_factor**2 * found
+        widths, rests = np.zeros((3, KIND_COUNT)), plant.coulomb + housing
+        widths[1:, State.STILL] = rests
+        widths[1:, State.REVERSED] = min(slope * self.count / 2, rests)
+        widths[2, State.REVERSED] = max(widths[1, State.REVERSED], rests / 2)
+        open_: Array = (plant.torque_factor * widths) ** 2 / 3
         return open_
 
     def limited(self, current: Array) -> NDArray[np.bool_]:
@@ -171,8 +175,8 @@ class Sensor:
             found[1],
             estimate.idle,
         )
-        states, kinds = self._states(moments)
-        least = self._instrument.open_variances[kinds] * moments.idle
+        states, kinds, idling = self._states(moments)
+        least = self._instrument.open_variances[idling, kinds]
         scales = self._instrument.model.scales[1]
         u = uncertainty_of_kinds(scales, estimate.deviation, torque, kinds, variance, least)
         doubt = np.sqrt(variance)
@@ -184,12 +188,14 @@ class Sensor:
         """Standard deviation of the torque after the last step, before the low-pass, N m."""
         return self._filter.last_deviation
 
-    def _states(self, moments: Moments) -> tuple[States, States]:
-        """Return states and kinds of these steps, that follow from the steps before them, too."""
+    def _states(self, moments: Moments) -> tuple[States, States, Idling]:
+        """Return states and kinds of these steps, that follow from the steps before them, too, and
+        `Judge.idling`."""
         before = self._before
         whole = moments if before is None else Moments.joined(before, moments)
         self._before = whole.part(-self._judge.span)
         if not len(moments.low):
-            return np.empty(0, dtype=np.int32), np.empty(0, dtype=np.int32)
+            return *np.empty((2, 0), dtype=np.int32), np.empty(0, dtype=np.int8)
         states, first = self._judge.states(whole), len(whole.low) - len(moments.low)
-        return states[first:], self._judge.kinds(states, whole)[first:]
+        kinds, idling = self._judge.kinds(states, whole), self._judge.idling(whole)
+        return states[first:], kinds[first:], idling[first:]

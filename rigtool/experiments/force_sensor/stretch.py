@@ -49,7 +49,7 @@ ESTIMATED_TYPES = {
     "u": np.float32,
     "states": np.int8,
     "kinds": np.int8,
-    "idle": np.bool_,
+    "idling": np.int8,
     "causal": np.float64,
     "causal_u": np.float64,
     "causal_states": np.int8,
@@ -180,7 +180,7 @@ class Stretch:
         self._keep("u", deviation)
         self._keep("states", states[first:end])
         self._keep("kinds", judge.kinds(states, part)[first:end])
-        self._keep("idle", part.idle[first:end])
+        self._keep("idling", judge.idling(part)[first:end])
         self._in_front = min(end, judge.span)
         self._waiting = [waiting.part(end - self._in_front)]
 
@@ -279,7 +279,7 @@ class Stretch:
         kinds = self._taken("kinds")[::every]
         by_current = self._sensor.power_up.probability * self._taken("by_current")
         variance = np.concatenate(variances) + by_current
-        least = instrument.open_variances[kinds] * self._taken("idle")[::every]
+        least = instrument.open_variances[self._taken("idling")[::every], kinds]
         deviation = deviation[::every].astype(float)
         scales = instrument.model.scales[0]
         u = uncertainty_of_kinds(scales, deviation, torque[::every], kinds, variance, least)

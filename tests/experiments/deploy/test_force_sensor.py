@@ -85,7 +85,8 @@ def test_loops_whose_samples_are_no_even_number_for_each_of_the_equations(
 def test_a_motor_without_current_is_carried_and_held(libraries, samples):
     part = samples["free"][:, :24000].copy()
     part[1, 6000:] = 0.0
-    part[0, 16000:] = part[0, 16000]
+    part[0, 12000:16000] = part[0, 12000] - np.arange(4000) // 440  # a count in 55 ms
+    part[0, 16000:] = part[0, 15999]
     wanted, found = expected(instrument(), part), read(libraries["double"], part)
     np.testing.assert_array_equal(found[:, 4], wanted[:, 4])
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * RANGE)
@@ -100,6 +101,10 @@ def test_a_motor_without_current_is_carried_and_held(libraries, samples):
     turned = wanted[1010:][wanted[1010:, 4] == State.REVERSED]
     assert len(turned) > 100
     assert (turned[:, 1] > 0.999 * half / np.sqrt(3)).all()
+    crawled = wanted[1600:1980]
+    crawled = crawled[crawled[:, 4] == State.REVERSED]
+    assert len(crawled) > 50
+    assert (crawled[:, 1] > 0.999 * friction / 2 / np.sqrt(3)).all()
 
 
 @pytest.mark.parametrize("motion", ["strokes", "free", "rest"])

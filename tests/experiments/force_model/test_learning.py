@@ -11,11 +11,13 @@ from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_model import learning
 from rigtool.experiments.force_model.deviations import (
     MAX_SCATTER_RATIO,
+    UNSEEN_PART,
     Deviations,
     deviations,
     kept_by_mean,
     scatter_hz,
     scatter_ratios,
+    unseen_deviations,
 )
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.learning import learn_sliding
@@ -27,7 +29,7 @@ from rigtool.experiments.force_model.sliding_problem import (
     Problem,
     stepped_shape,
 )
-from rigtool.experiments.learning.implementations.d_tendon import swing_notes, tendon_results
+from rigtool.experiments.learning.implementations.d_tendon import stroke_notes, tendon_results
 from rigtool.recipe import load_recipe
 from tests.experiments.force_model import known_plant as plant
 from tests.experiments.force_model.known_plant import strokes
@@ -128,7 +130,7 @@ def test_what_the_bench_has_wrong_is_in_the_budget_of_the_tendon(fit, learned):
         update={"grasper_length_u": 0.2e-3, "angle_ratio_relative_u": 0.01}
     )
     rig = rig.model_copy(update={"weights_relative_u": 0.01, "instrument": off})
-    force = LearnedForce(ForceModel(learned, CALM), fit, {}, {})
+    force = LearnedForce(ForceModel(learned, CALM), fit, {}, {}, True)
     first, *_, last = fit.problem.records
     pairs = [SimpleNamespace(loaded=one, unloaded=()) for one in (first, last)]
     found = tendon_results(force, pairs, np.array([1.0, 2.0]), rig)
@@ -199,6 +201,19 @@ def test_what_friction_deviates_is_measured():
     assert 50e-3 / plant.FACTOR * found.load < found.stroke / 2  # nothing grew with the load
 
 
+@pytest.mark.parametrize("payback", [0.0, 0.9])
+def test_a_few_cycles_show_as_much_as_many(payback):
+    """What their mean takes away of each of three is given back."""
+    records = [
+        strokes(0.0, 1.0, cycles=3, deviation=0.4e-3, payback=payback, seed=seed)
+        for seed in range(24)
+    ]
+    assert {record.cycles for record in records} == {3}
+    found = deviations(records, plant.RATIO, plant.FACTOR)
+    expected = 0.4e-3 * np.hypot(1, payback)
+    assert found.stroke == pytest.approx(expected, rel=0.13)
+
+
 def test_cycles_that_differ_by_more_than_friction_does_do_not_repeat():
     every = [
         strokes(load, 1.0, cycles=8, deviation=deviation, seed=seed)
@@ -221,13 +236,15 @@ def test_a_load_that_swings_anew_in_each_cycle_gets_a_remark(fit, learned, hertz
     wave = 5e-3 * np.sin(2 * math.pi * hertz * time + phases)
     swinging = replace(calm, torques=calm.torques + wave, load_inertia=inertia)
     found = {"known_000_000": calm, "known_000_001": swinging}
-    force = LearnedForce(
-        ForceModel(learned, CALM), fit, found, {"known_000_000": 1.0, "known_000_001": 9.0}
-    )
-    (note,) = swing_notes(force)
+    scatter = {"known_000_000": 1.0, "known_000_001": 9.0}
+    force = LearnedForce(ForceModel(learned, CALM), fit, found, scatter, True)
+    (note,) = stroke_notes(force)
     assert note.startswith("known_000_001: its cycles scatter by 9 times")
     assert cause in note
     assert scatter_hz(swinging) == pytest.approx(hertz, abs=0.2)
+    short, _ = stroke_notes(replace(force, shown=False))
+    assert "shorter than 1 s" in short
+    assert "slower speed to ilc_learn.loads.speeds_rev_per_s" in short
 
 
 def test_the_time_by_which_the_current_is_late_is_found(fit):
@@ -269,7 +286,12 @@ def test_what_strokes_pay_back_hardly_moves_their_mean(payback, low, high):
 
 
 def test_without_cycles_nothing_is_claimed_to_be_measured():
-    assert deviations([], plant.RATIO, plant.FACTOR).stroke > 0
+    fast = [strokes(load, 4.0, cycles=6, deviation=0.4e-3) for load in (0.0, 50e-3)]
+    for records in ([], fast):
+        assert deviations(records, plant.RATIO, plant.FACTOR) is None
+        assert unseen_deviations(records).stroke > 0
+    friction = plant.COULOMB + 4.0 * plant.VISCOUS
+    assert unseen_deviations(fast).stroke == pytest.approx(UNSEEN_PART * friction, rel=0.2)
 
 
 def test_too_slow_strokes_are_refused():

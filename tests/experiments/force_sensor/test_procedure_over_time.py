@@ -105,8 +105,8 @@ def test_observing_reads_what_somebody_else_moves(rig):
 
 
 def test_a_hand_at_the_output_may_hold_whatever_friction_does(rig):
-    hand = ("virtual.hand.moves=output", "virtual.hand.pause_share=0.3")
-    table = rig(40.0, *hand, observed=True, source=RECIPE, name="hand.h5").tables["force"]
+    hand = ("virtual.hand.moves=output", "virtual.hand.pause_share=0.6")
+    table = rig(20.0, *hand, observed=True, source=RECIPE, name="hand.h5").tables["force"]
     rests = table["state"] == State.STILL
     error = np.abs(table["torque"] - table["reference"])
     assert rests.mean() > 0.2

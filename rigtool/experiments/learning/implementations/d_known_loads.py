@@ -27,7 +27,7 @@ from rigtool.experiments.force_model.procedure_learning import (
 )
 from rigtool.experiments.force_model.records import Record
 from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
-from rigtool.experiments.learning.implementations.d_tendon import swing_notes, tendon_results
+from rigtool.experiments.learning.implementations.d_tendon import stroke_notes, tendon_results
 from rigtool.experiments.learning.stored_table import feedforward, friction_results
 from rigtool.experiments.load_disturbance.reading import LoadedPair, read_loads
 from rigtool.experiments.load_disturbance.sliding import DisturbanceGrid, grid_of
@@ -206,7 +206,7 @@ def _loads_outcome(run: Run, recipe: Recipe, learned: LearnedForce, loads: _Know
             ),
         },
         {**grid_tables(grid, recipe), "left_out": _left_out(learned, loads, recipe)},
-        (*_notes(largest, speeds, recipe), *swing_notes(learned)),
+        (*_notes(largest, speeds, recipe), *stroke_notes(learned)),
     )
 
 

@@ -9,10 +9,16 @@ from dataclasses import replace
 import numpy as np
 
 from rigtool.experiments.force_model import stored
-from rigtool.experiments.force_model.deviations import MAX_SCATTER_RATIO, scatter_hz
+from rigtool.experiments.force_model.deviations import (
+    MAX_SCATTER_RATIO,
+    MIN_STROKE_ROWS,
+    ROWS_APART,
+    UNSEEN_PART,
+    scatter_hz,
+)
 from rigtool.experiments.force_model.learning import LearnedModel, SlidingFit
 from rigtool.experiments.force_model.procedure_learning import LearnedForce
-from rigtool.experiments.force_model.records import Record
+from rigtool.experiments.force_model.records import ROWS_HZ, Record
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.experiments.load_disturbance.reading import LoadedPair
 from rigtool.experiments.load_disturbance.results_known_loads import ANGLE_RATIO, LOAD_ARM, WEIGHTS
@@ -69,10 +75,18 @@ def tendon_results(
     return results
 
 
-def swing_notes(learned: LearnedForce) -> Iterator[str]:
-    """Yield a remark for each load whose cycles do not repeat, with the frequencies that show
-    whether it swings on its tendon: that of the scatter, and sqrt(k / J) of the load."""
+def stroke_notes(learned: LearnedForce) -> Iterator[str]:
+    """Yield a remark where no stroke is long enough, and for each load whose cycles do not repeat,
+    with the frequencies that show whether it swings on its tendon: that of the scatter, and
+    sqrt(k / J) of the load."""
     shape = learned.model.learned.shape
+    if not learned.shown:
+        yield (
+            "no stroke shows how strokes deviate from each other: each is shorter than "
+            f"{MIN_STROKE_ROWS * ROWS_APART / ROWS_HZ:g} s at constant speed. "
+            f"{UNSEEN_PART * 100:g} % of the friction is assumed for force over time; to learn it, "
+            "add a slower speed to ilc_learn.loads.speeds_rev_per_s"
+        )
     for name, record in learned.strokes.items():
         if (ratio := learned.scatter[name]) <= MAX_SCATTER_RATIO:
             continue
