@@ -82,6 +82,9 @@ STATE = np.dtype(
         ("slow_sum", "f8"),
         ("slow_left", "f8"),
         ("low", "f8"),  # of the count that the angle is in
+        # what the last update left of the angle: mean, and variance with the edges' own; 0: none yet
+        ("angle", "f8"),
+        ("variance", "f8"),
     ]
 )
 
@@ -269,6 +272,24 @@ def _remove(rows: Array, gain: Array, scale: float) -> None:
 
 
 @compiled
+def _shown(
+    s: Record, angle: float, variance: float, low: float, width: float
+) -> tuple[float, float]:
+    """Return what a count shows anew of an angle: its shift, rad, and the part of the variance that
+    it leaves."""
+    deviation = math.sqrt(variance)
+    mean, left = truncated((low - angle) / deviation, (low + width - angle) / deviation)
+    shift, left = mean * deviation, max(left, LEAST_VARIANCE)
+    if low == s.low and s.variance > 0.0:
+        before = math.sqrt(s.variance)
+        mean, known = truncated((low - s.angle) / before, (low + width - s.angle) / before)
+        fresh = shift - mean * before
+        shift = fresh if fresh * shift > 0.0 else 0.0
+        left = min(left / max(known, LEAST_VARIANCE), 1.0)
+    return shift, left
+
+
+@compiled
 def _update(
     s: Record,
     u: Record,
@@ -287,10 +308,8 @@ def _update(
     """
     x = s.mean
     variance = rows[_at(ANGLE, ANGLE)] + (u.edge * width) ** 2
-    deviation = math.sqrt(variance)
-    mean, left = truncated((low - x[ANGLE]) / deviation, (low + width - x[ANGLE]) / deviation)
-    left = max(left, LEAST_VARIANCE)
-    weight, shift = 1.0 - left, mean * deviation
+    shift, left = _shown(s, x[ANGLE], variance, low, width)
+    weight, mean = 1.0 - left, shift / math.sqrt(variance)
     for i in range(ROW_LENGTH):
         gain[i] = rows[_at(ANGLE, i)] / variance
     for i in range(STATES):
@@ -306,8 +325,9 @@ def _update(
         s.step_left = u.busy_time
     if abs(s.slow_sum) > SLOW_THRESHOLD or (low != s.low and idle):
         s.slow_left = u.busy_time
-    s.low = low
-    return mean / deviation, weight, variance
+    s.low, s.angle = low, x[ANGLE]
+    s.variance = rows[_at(ANGLE, ANGLE)] + (u.edge * width) ** 2
+    return shift / variance, weight, variance
 
 
 @compiled
