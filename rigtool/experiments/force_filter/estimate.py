@@ -259,7 +259,8 @@ class Again:
         step, first = np.arange(len(low)), self._seen[-1, 3] if len(self._seen) else -1.0
         moved = low != np.concatenate([[self._low], low[:-1]])
         self._low = float(low[-1])
-        return step - np.maximum.accumulate(np.where(moved, step, -1.0 - first))
+        rested: Array = step - np.maximum.accumulate(np.where(moved, step, -1.0 - first))
+        return rested
 
     def _least(self) -> Array:
         """Return the lowest levels of the torque's noise in the steps that are known, (m,)."""

@@ -82,7 +82,7 @@ STATE = np.dtype(
         ("slow_sum", "f8"),
         ("slow_left", "f8"),
         ("low", "f8"),  # of the count that the angle is in
-        # what the last update left of the angle: mean, and variance with the edges' own; 0: none yet
+        # what the last update left of the angle; of variance 0, none yet
         ("angle", "f8"),
         ("variance", "f8"),
     ]
