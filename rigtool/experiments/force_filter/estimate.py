@@ -256,7 +256,7 @@ class Again:
         """Return for how many steps the angle has been in the count of each, (m,)."""
         if not len(low):
             return np.empty(0)
-        step, first = np.arange(len(low)), self._seen[-1, 3] if len(self._seen) else -1.0
+        step, first = np.arange(float(len(low))), self._seen[-1, 3] if len(self._seen) else -1.0
         moved = low != np.concatenate([[self._low], low[:-1]])
         self._low = float(low[-1])
         rested: Array = step - np.maximum.accumulate(np.where(moved, step, -1.0 - first))
