@@ -2,7 +2,10 @@
 
     prediction   x- = f(x),  P- = Phi P Phi' + Q,  Phi the derivative of f in closed form
     update       the angle lies within its count: `interval`, with s^2 = P-[0, 0] and the spread
-                 of an edge; K = P-[:, 0] / s^2, x = x- + K s d, P = P- - K K' s^2 (1 - rho)
+                 of an edge. A normal that was cut to a count reaches beyond it again: where the
+                 count stays the same, d is less by what one more cut of the state after the last
+                 update would shift it, and rho is over what that would leave.
+                 K = P-[:, 0] / s^2, x = x- + K s d, P = P- - K K' s^2 (1 - rho)
     torque       random walk with three levels: a contact is no steady drift, and one level for all
                  would give a load step to the bristles instead. Leaky sums of the corrections d
                  over SHORT and LONG show a step and a slow change: where one exceeds its
@@ -97,8 +100,9 @@ class Uncertainty:
     has the memory `friction_noise_time` [s]. What ends in `_rate` is a random walk per square root
     of a second; on angles, speeds and bristles it is small and keeps the covariance positive.
     `edge` is that of the encoder's edges, in counts, `undecided` how many of the speed's own the
-    speed must be off zero until its direction is certain. `torque_start` [N m], `bristle_start` and
-    `speed_start` [rad/s] are what is not known at the beginning.
+    speed must be off zero until its direction is certain. With `repeats` of 1 each step takes in
+    all that a count shows, and not only what it shows anew. `torque_start` [N m], `bristle_start`,
+    and `speed_start` [rad/s] are what is not known at the beginning.
     """
 
     stroke: float
@@ -119,6 +123,7 @@ class Uncertainty:
     speed_start: float = 0.05
     undecided: float = 0.5
     edge: float = 0.05
+    repeats: float = 0.0
 
 
 def begin(
@@ -273,14 +278,14 @@ def _remove(rows: Array, gain: Array, scale: float) -> None:
 
 @compiled
 def _shown(
-    s: Record, angle: float, variance: float, low: float, width: float
+    s: Record, u: Record, angle: float, variance: float, low: float, width: float
 ) -> tuple[float, float]:
     """Return what a count shows anew of an angle: its shift, rad, and the part of the variance that
     it leaves."""
     deviation = math.sqrt(variance)
     mean, left = truncated((low - angle) / deviation, (low + width - angle) / deviation)
     shift, left = mean * deviation, max(left, LEAST_VARIANCE)
-    if low == s.low and s.variance > 0.0:
+    if low == s.low and s.variance > 0.0 and u.repeats < 0.5:
         before = math.sqrt(s.variance)
         mean, known = truncated((low - s.angle) / before, (low + width - s.angle) / before)
         fresh = shift - mean * before
@@ -308,7 +313,7 @@ def _update(
     """
     x = s.mean
     variance = rows[_at(ANGLE, ANGLE)] + (u.edge * width) ** 2
-    shift, left = _shown(s, x[ANGLE], variance, low, width)
+    shift, left = _shown(s, u, x[ANGLE], variance, low, width)
     weight, mean = 1.0 - left, shift / math.sqrt(variance)
     for i in range(ROW_LENGTH):
         gain[i] = rows[_at(ANGLE, i)] / variance
