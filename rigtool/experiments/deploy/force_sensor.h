@@ -164,7 +164,8 @@ struct rigtool_sensor {
     rs_real ripple, late, direction, step_sum, slow_sum, spread, outer_spread;
     int step_left, slow_left; /* steps at the level of a step, of a slow change */
     int32_t base; /* count that the angles are from */
-    int32_t counted; /* by the step before */
+    int32_t counted; /* by the step before, which left this of the angle; variance 0: none yet */
+    rs_real left_angle, left_variance;
     int none_before, none_steps, idle; /* without a current: a sample, steps so far, for long */
     rs_real turn; /* of the output at this count, in turns */
     rs_real at, sine, cosine; /* of the output at the begin of the step */
@@ -653,26 +654,34 @@ static inline void rs_rebase(struct rigtool_sensor *s, int32_t count)
     s->turn = (rs_real)turn * (1 / (rs_real)4294967296.0);
 }
 
-/* Take in that the angle lies within its count: the interval as a scalar measurement, U and d after
- * Bierman (V.3); the variance left is never below that of `least_variance`. */
-static inline void rs_update(struct rigtool_sensor *s)
+/* What a count shows anew of the angle: its shift; *left receives the part of the variance. */
+static inline rs_real rs_shows(struct rigtool_sensor *s, rs_real variance, rs_real *left)
 {
     const struct rs_model *m = &rs_model;
-    const rs_real edge = rs_square(m->edge * m->count);
-    rs_real variance = edge, deviation, low, left, mean, found, weight;
-    rs_real shared[RS_ORDER], shared_weight[RS_ORDER];
-    rs_real part[RS_STATES], column[RS_STATES]; /* d U'[angle], and U d U'[angle] */
-    int i, j;
-    for (j = 0; j < RS_STATES; j++) {
-        part[j] = s->d[j] * s->u[RS_ANGLE][j];
-        variance += part[j] * s->u[RS_ANGLE][j];
+    const rs_real deviation = RS_MATH(sqrt)(variance), low = -s->x[RS_ANGLE] / deviation;
+    rs_real shift = rs_truncated(low, low + m->count / deviation, left) * deviation;
+    if (!(*left > m->least_variance))
+        *left = m->least_variance;
+    if (s->encoder == s->counted && s->left_variance > 0) {
+        const rs_real before = RS_MATH(sqrt)(s->left_variance), at = -s->left_angle / before;
+        rs_real known, fresh;
+        fresh = shift - rs_truncated(at, at + m->count / before, &known) * before;
+        shift = fresh * shift > 0 ? fresh : (rs_real)0;
+        if (!(known > m->least_variance))
+            known = m->least_variance;
+        *left = *left < known ? *left / known : (rs_real)1;
     }
-    deviation = RS_MATH(sqrt)(variance);
-    low = -s->x[RS_ANGLE] / deviation;
-    found = mean = rs_truncated(low, low + m->count / deviation, &left);
-    if (!(left > m->least_variance))
-        left = m->least_variance;
-    weight = 1 - left;
+    return shift;
+}
+
+/* Take in a shift of the angle that leaves a part of its variance, with the edge's own: as a scalar
+ * measurement, U and d after Bierman (V.3). `part` is d U'[angle]. */
+static inline void rs_narrow(struct rigtool_sensor *s, rs_real edge, rs_real variance,
+                             rs_real shift, rs_real left, const rs_real part[RS_STATES])
+{
+    rs_real weight = 1 - left, mean = shift / variance;
+    rs_real shared[RS_ORDER], shared_weight[RS_ORDER], column[RS_STATES]; /* U d U'[angle] */
+    int i, j;
     if (!(weight > RS_LEAST_WEIGHT))
         weight = RS_LEAST_WEIGHT;
     {
@@ -692,7 +701,6 @@ static inline void rs_update(struct rigtool_sensor *s)
             sum = whole;
         }
     }
-    mean /= deviation;
     weight /= variance;
     for (i = 0; i < RS_ORDER; i++)
         shared[i] = s->u[RS_ANGLE][RS_STATES + i];
@@ -716,8 +724,30 @@ static inline void rs_update(struct rigtool_sensor *s)
         if (s->x[i] < -1)
             s->x[i] = -1;
     }
-    s->step_sum = m->short_kept * s->step_sum + found * m->step_time;
-    s->slow_sum = m->long_kept * s->slow_sum + found * m->step_time;
+}
+
+/* Take in that the angle lies within its count. */
+static inline void rs_update(struct rigtool_sensor *s)
+{
+    const struct rs_model *m = &rs_model;
+    const rs_real edge = rs_square(m->edge * m->count);
+    rs_real own = 0, variance, shift, left, found, part[RS_STATES];
+    int j;
+    for (j = 0; j < RS_STATES; j++) {
+        part[j] = s->d[j] * s->u[RS_ANGLE][j];
+        own += part[j] * s->u[RS_ANGLE][j];
+    }
+    variance = own + edge;
+    shift = rs_shows(s, variance, &left);
+    if (shift < 0 || shift > 0 || left < 1)
+        rs_narrow(s, edge, variance, shift, left, part);
+    else
+        memset(s->gain, 0, sizeof s->gain);
+    s->left_angle = s->x[RS_ANGLE];
+    s->left_variance = edge + own - (1 - left) * own * own / variance;
+    found = shift / RS_MATH(sqrt)(variance) * m->step_time;
+    s->step_sum = m->short_kept * s->step_sum + found;
+    s->slow_sum = m->long_kept * s->slow_sum + found;
     if (RS_MATH(fabs)(s->step_sum) > m->step_threshold)
         s->step_left = RS_BUSY_STEPS;
     if (RS_MATH(fabs)(s->slow_sum) > m->slow_threshold || (s->encoder != s->counted && s->idle))

@@ -32,6 +32,12 @@ PIECE_STEPS = 8192
 ONSET_TIME = 30e-3
 """Time that a change of the torque takes to show, s."""
 
+REST_TIME = 0.25
+"""Rest within a count, s, in which a load that changes may not show."""
+
+UNLIKE = 1.5
+"""Standard deviations that the torque before and after such a rest differs by if it changed."""
+
 BLOCK, AHEAD = 64.0, 20.0
 """Time that is smoothed at once, and what must follow it, s: with 20 s, what follows later changes
 the torque by less than 1e-4 of its deviation, with 10 s by up to 0.7 where the rotor rests long."""
@@ -190,17 +196,27 @@ class Filter:
 
 
 class Again:
-    """The filter once more, `ONSET_TIME` behind, for the smoother; samples are added as they
-    come."""
+    """The filter once more, behind, for the smoother; samples are added as they come.
+
+    The torque's noise is open from `ONSET_TIME` before the first filter opened it; and about the
+    end of a rest within a count of `REST_TIME` after which the first filter finds another torque:
+    the load that changed moved the rotor, while the noise of the rest would spread it over that.
+    """
 
     def __init__(
         self, plant: Plant, uncertainty: Uncertainty, step_samples: int, corner_hz: float
     ) -> None:
         self._filter = Filter(plant, uncertainty, step_samples, corner_hz)
         self._size = step_samples
-        self._behind = max(1, round(ONSET_TIME / (step_samples * plant.sample_time)))
+        steps = [
+            max(1, round(time / (step_samples * plant.sample_time)))
+            for time in (ONSET_TIME, uncertainty.busy_time, REST_TIME)
+        ]
+        self._onset, self._settled, self._rest = steps
         self._signals: Signals | None = None
-        self._levels = self._less = np.empty(0)
+        self._less = np.empty(0)
+        self._seen = np.empty((0, 4))  # level, torque, deviation, steps at rest
+        self._low = math.nan
         self._begun = False
 
     def add(
@@ -217,22 +233,44 @@ class Again:
         `less` (m,) N m is taken off the drive torque in each step, nothing where it is None."""
         if self._signals is not None:
             signals = _joined(self._signals, signals)
-        levels = np.concatenate([self._levels, estimate.outputs[:, 2]])
         less = np.zeros(len(estimate.outputs)) if less is None else less
         less = np.concatenate([self._less, less])
-        behind = self._behind
-        count = max(0, len(levels) - (0 if last else behind))
+        seen = np.column_stack([estimate.outputs[:, [2, 0, 1]], self._rested(estimate.low)])
+        self._seen = np.concatenate([self._seen, seen])
+        ahead = self._onset + self._settled
+        before = len(self._seen) - len(less)  # steps that were filtered, but are looked back at
+        count = max(0, len(less) - (0 if last else ahead))
         end = count * self._size + (0 if self._begun or not count else 1)
         found = self._filter.add(
             _part(signals, 0, end),
             keep=True,
             less=less[:count],
-            least=highest(levels, 0, behind)[:count],
+            least=self._least()[before : before + count],
         )
         self._begun = self._begun or count > 0
-        self._signals, self._levels = _part(signals, end, None), levels[count:]
-        self._less = less[count:]
+        self._signals, self._less = _part(signals, end, None), less[count:]
+        self._seen = self._seen[max(0, before + count - self._onset - 1) :]
         return found
+
+    def _rested(self, low: Array) -> Array:
+        """Return for how many steps the angle has been in the count of each, (m,)."""
+        if not len(low):
+            return np.empty(0)
+        step, first = np.arange(float(len(low))), self._seen[-1, 3] if len(self._seen) else -1.0
+        moved = low != np.concatenate([[self._low], low[:-1]])
+        self._low = float(low[-1])
+        rested: Array = step - np.maximum.accumulate(np.where(moved, step, -1.0 - first))
+        return rested
+
+    def _least(self) -> Array:
+        """Return the lowest levels of the torque's noise in the steps that are known, (m,)."""
+        level, torque, deviation, rested = self._seen.T
+        later = np.minimum(np.arange(len(level)) + self._settled, len(level) - 1)
+        ended = np.zeros(len(level))
+        changed = np.abs(torque[later][1:] - torque[:-1])
+        unlike = changed > UNLIKE * np.hypot(deviation[later][1:], deviation[:-1])
+        ended[1:][(rested[1:] == 0) & (rested[:-1] >= self._rest) & unlike] = 2.0
+        return highest(np.maximum(level, highest(ended, self._onset, 0)), 0, self._onset)
 
 
 class Smoother:

@@ -2,7 +2,10 @@
 
     prediction   x- = f(x),  P- = Phi P Phi' + Q,  Phi the derivative of f in closed form
     update       the angle lies within its count: `interval`, with s^2 = P-[0, 0] and the spread
-                 of an edge; K = P-[:, 0] / s^2, x = x- + K s d, P = P- - K K' s^2 (1 - rho)
+                 of an edge. A normal that was cut to a count reaches beyond it again: where the
+                 count stays the same, d is less by what one more cut of the state after the last
+                 update would shift it, and rho is over what that would leave.
+                 K = P-[:, 0] / s^2, x = x- + K s d, P = P- - K K' s^2 (1 - rho)
     torque       random walk with three levels: a contact is no steady drift, and one level for all
                  would give a load step to the bristles instead. Leaky sums of the corrections d
                  over SHORT and LONG show a step and a slow change: where one exceeds its
@@ -82,6 +85,9 @@ STATE = np.dtype(
         ("slow_sum", "f8"),
         ("slow_left", "f8"),
         ("low", "f8"),  # of the count that the angle is in
+        # what the last update left of the angle; of variance 0, none yet
+        ("angle", "f8"),
+        ("variance", "f8"),
     ]
 )
 
@@ -94,8 +100,9 @@ class Uncertainty:
     has the memory `friction_noise_time` [s]. What ends in `_rate` is a random walk per square root
     of a second; on angles, speeds and bristles it is small and keeps the covariance positive.
     `edge` is that of the encoder's edges, in counts, `undecided` how many of the speed's own the
-    speed must be off zero until its direction is certain. `torque_start` [N m], `bristle_start` and
-    `speed_start` [rad/s] are what is not known at the beginning.
+    speed must be off zero until its direction is certain. With `repeats` of 1 each step takes in
+    all that a count shows, and not only what it shows anew. `torque_start` [N m], `bristle_start`,
+    and `speed_start` [rad/s] are what is not known at the beginning.
     """
 
     stroke: float
@@ -116,6 +123,7 @@ class Uncertainty:
     speed_start: float = 0.05
     undecided: float = 0.5
     edge: float = 0.05
+    repeats: float = 0.0
 
 
 def begin(
@@ -269,6 +277,24 @@ def _remove(rows: Array, gain: Array, scale: float) -> None:
 
 
 @compiled
+def _shown(
+    s: Record, u: Record, angle: float, variance: float, low: float, width: float
+) -> tuple[float, float]:
+    """Return what a count shows anew of an angle: its shift, rad, and the part of the variance that
+    it leaves."""
+    deviation = math.sqrt(variance)
+    mean, left = truncated((low - angle) / deviation, (low + width - angle) / deviation)
+    shift, left = mean * deviation, max(left, LEAST_VARIANCE)
+    if low == s.low and s.variance > 0.0 and u.repeats < 0.5:
+        before = math.sqrt(s.variance)
+        mean, known = truncated((low - s.angle) / before, (low + width - s.angle) / before)
+        fresh = shift - mean * before
+        shift = fresh if fresh * shift > 0.0 else 0.0
+        left = min(left / max(known, LEAST_VARIANCE), 1.0)
+    return shift, left
+
+
+@compiled
 def _update(
     s: Record,
     u: Record,
@@ -287,10 +313,8 @@ def _update(
     """
     x = s.mean
     variance = rows[_at(ANGLE, ANGLE)] + (u.edge * width) ** 2
-    deviation = math.sqrt(variance)
-    mean, left = truncated((low - x[ANGLE]) / deviation, (low + width - x[ANGLE]) / deviation)
-    left = max(left, LEAST_VARIANCE)
-    weight, shift = 1.0 - left, mean * deviation
+    shift, left = _shown(s, u, x[ANGLE], variance, low, width)
+    weight, mean = 1.0 - left, shift / math.sqrt(variance)
     for i in range(ROW_LENGTH):
         gain[i] = rows[_at(ANGLE, i)] / variance
     for i in range(STATES):
@@ -306,8 +330,9 @@ def _update(
         s.step_left = u.busy_time
     if abs(s.slow_sum) > SLOW_THRESHOLD or (low != s.low and idle):
         s.slow_left = u.busy_time
-    s.low = low
-    return mean / deviation, weight, variance
+    s.low, s.angle = low, x[ANGLE]
+    s.variance = rows[_at(ANGLE, ANGLE)] + (u.edge * width) ** 2
+    return shift / variance, weight, variance
 
 
 @compiled

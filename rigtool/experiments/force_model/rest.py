@@ -151,12 +151,14 @@ def learn_rest(
 
 
 def held(uncertainty: Uncertainty) -> Uncertainty:
-    """Return the uncertainty with which all this is learned: of hardly any torque on the output."""
+    """Return the uncertainty with which all this is learned: of hardly any torque on the output,
+    and a count taken in whole in each step, as prediction errors are those of whole counts."""
     return replace(
         uncertainty,
         torque_rate=UNTOUCHED_RANDOM_WALK,
         slow_torque_rate=UNTOUCHED_RANDOM_WALK,
         step_torque_rate=UNTOUCHED_RANDOM_WALK,
+        repeats=1.0,
     )
 
 

@@ -126,7 +126,8 @@ def test_the_amplitude_of_a_sine_at_the_bandwidth_is_right():
     torque, _ = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
     step_time = STEP * PLANT.sample_time
     sections = butter(2, BAND, fs=1 / step_time, output="sos")
-    used = slice(1000, 7000)  # whole periods, after the start
+    # whole periods of motion: within a count at rest, a swing of 10 mN m shows in part
+    used = np.r_[1000:3000, 5000:7000]
     wave = np.exp(-2j * np.pi * BAND * step_time * np.arange(len(truth)))[used]
     for found, true in ((causal.passed, sosfilt(sections, truth)), (torque, truth)):
         gain = np.mean(found[used] * wave) / np.mean(true[used] * wave)
@@ -157,6 +158,26 @@ def test_a_load_that_comes_at_rest_is_not_spread_over_the_rest_before_it(recordi
     spread, _ = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
     error, without = (np.sqrt(np.mean((t - truth)[before] ** 2)) for t in (torque, spread))
     assert error < 0.7 * without
+
+
+@pytest.mark.parametrize("ends", [7.8, 7.95])
+def test_a_load_that_ends_with_a_rest_is_not_spread_over_the_rest(ends):
+    """The rotor stays within a count for 0.4 s, until the load of 12 mN m ends."""
+    signals, truth, _ = simulated(9.0, acting=lambda t: 0.012 * np.clip((ends - t) / 0.05, 0, 1))
+    torque, deviation = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
+    time = np.arange(len(truth)) * STEP * PLANT.sample_time
+    rest = (time > 7.1) & (time < ends - 0.1)
+    error = np.abs(torque - truth)[rest]
+    assert np.sqrt(np.mean(error**2)) < 1.5e-3
+    assert np.all(error < 1.96 * deviation[rest])
+
+
+def test_a_count_shows_what_it_shows_once():
+    """An edge is passed, and nothing changes afterwards: nothing more is known of the torque."""
+    low = np.where(np.arange(400 * STEP) < 100 * STEP, 0.0, WIDTH)
+    nothing, viscous = np.zeros(len(low)), np.full(len(low), 5e-5)
+    found = Filter(PLANT, UNCERTAINTY, STEP, BAND).add(Signals(nothing, viscous, low, WIDTH))
+    assert found.deviation[300] > 0.8 * found.deviation[105]
 
 
 def test_what_comes_long_afterwards_does_not_matter(recording, monkeypatch):
