@@ -115,7 +115,7 @@ def learned(rig: str, seed: int, folder: Path) -> tuple[ForceModel, Reach, Known
     recipe, _ = load_recipe(RECIPE, list(RIGS[rig]))
     assert recipe.virtual is not None
     with open_run(tables) as stored, open_run(kt) as calibration:
-        model, reach = model_from(stored, recipe), reach_of(stored, calibration, recipe)
+        model, reach = model_from(stored, recipe), reach_of(stored, calibration)
         cold = torque_per_ampere_at(calibration, 0.0).value
         slope = torque_per_ampere_at(calibration, 1.0).value - cold
         return model, reach, (cold, slope)

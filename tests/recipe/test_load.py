@@ -69,7 +69,7 @@ def test_missing_and_unreadable_files(tmp_path):
         load_recipe(tmp_path / "none.toml")
     binary = tmp_path / "binary.toml"
     binary.write_bytes(b"\x89HDF\xff\xfe")
-    with pytest.raises(RecipeError, match="cannot be read"):
+    with pytest.raises(RecipeError, match="byte 0 is not UTF-8; give a text"):
         load_recipe(binary)
 
 

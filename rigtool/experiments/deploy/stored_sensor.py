@@ -38,7 +38,7 @@ def sensor(tables: Run, kt: Run | None) -> tuple[str, tuple[str, ...], list[Path
             "that the tables were learned with"
         )
     require_calibration(kt, recipe)
-    reach = reach_of(tables, kt, recipe)
+    reach = reach_of(tables, kt)
     instrument = instrument_of(recipe, kt, model, reach, recipe.rig.sample_time)
     origin = (*origin_of(tables), *_about(recipe, reach), *_calibration(kt))
     try:

@@ -142,7 +142,7 @@ def learn_sliding(
             "the rotor never slides evenly in the recordings: learn at higher speeds"
         )
     records = [record for record in records if record.used.any()]
-    sizes = sizes_of(records, known)
+    sizes = sizes_of(records)
     terms = terms_for(sizes, known)
     tried = [_start(sizes, known, count, stretch) for stretch in TENDON_STRETCHES.tolist()]
     showing = _showing_tendon(records)
@@ -198,7 +198,7 @@ def _showing_tendon(records: Sequence[Record]) -> list[Record]:
     return [r for r in records if r.moment in (0.0, largest) and r.angle.size in sizes]
 
 
-def sizes_of(records: Sequence[Record], known: Known) -> Sizes:
+def sizes_of(records: Sequence[Record]) -> Sizes:
     """Return the sizes to which priors are relative, from the records.
 
     Raises `InsufficientDataError` where none without load slides in both directions.

@@ -169,10 +169,11 @@ def model_from(run: Run, recipe: Recipe) -> ForceModel:
             f"{run.path}: holds no model of motor and instrument (table {missing[0]}): learn again "
             "with ilc-learn --implementation D"
         )
-    table, rig = run.table(TERMS), (run.recipe or recipe).rig  # coefficients rest on its values
+    table = run.table(TERMS, **dict.fromkeys((*_ABOUT, "coefficient"), "1"))
+    rig = (run.recipe or recipe).rig  # coefficients rest on its values
 
     def value(name: str) -> float:
-        return run.result(MODEL_PREFIX + name).value
+        return run.result(MODEL_PREFIX + name, MODEL_UNITS[name]).value
 
     try:
         terms = tuple(
@@ -183,9 +184,13 @@ def model_from(run: Run, recipe: Recipe) -> ForceModel:
         )
         later = {f.name for f in fields(Shape) if f.default is not MISSING}  # than older tables
         absent = {name for name in later if MODEL_PREFIX + name not in run.results}
-        shape = Shape(**{f.name: value(f.name) for f in fields(Shape) if f.name not in absent})
+        found = {f.name: value(f.name) for f in fields(Shape) if f.name not in absent}
+        sizes = found | {"noise_time": value("noise_time")}
+        if low := [name for name, size in sizes.items() if not size > 0]:
+            raise ValueError(f"{MODEL_PREFIX}{low[0]} is {sizes[low[0]]:g}, must be positive")
+        shape = Shape(**found)
         lengths = [run.result(MODEL_PREFIX + f"{name}_length") for name in ("bearing", "housing")]
-        covariance = run.table(COVARIANCE)["covariance"]
+        covariance = run.table(COVARIANCE, covariance="1")["covariance"]
         learned = LearnedModel(
             terms,
             shape,
@@ -195,14 +200,16 @@ def model_from(run: Run, recipe: Recipe) -> ForceModel:
             np.array([(length.u or 0.0) / length.value for length in lengths]),
         )
         deviations = Deviations(**{field.name: value(field.name) for field in fields(Deviations)})
-        scales = run.table(SCALES)
+        scales = run.table(
+            SCALES, **dict.fromkeys([name + p for name in _FORMS for p in _OF_SCALES], "1")
+        )
         factors = np.array([[scales[name + part] for part in _OF_SCALES] for name in _FORMS])
         factors = factors.astype(np.float64).swapaxes(1, 2).reshape(2, KIND_COUNT, 2)
         limits = run.table(LIMITS)
         finite = np.array([limits["jump"], limits["level"]], dtype=np.float64).T
-        found = np.where(np.isnan(finite), np.inf, finite).reshape(len(MotionKind), 2)
-    except (KeyError, TypeError, ValueError) as error:
+        thresholds = np.where(np.isnan(finite), np.inf, finite).reshape(len(MotionKind), 2)
+    except (KeyError, TypeError, ValueError, ArithmeticError) as error:
         raise RunFileError(
             f"{run.path}: its model of motor and instrument cannot be used: {error}; learn it again"
         ) from None
-    return ForceModel(learned, deviations, factors, found)
+    return ForceModel(learned, deviations, factors, thresholds)

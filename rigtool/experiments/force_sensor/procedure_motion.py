@@ -91,6 +91,11 @@ def path_of(file: Path) -> tuple[Array, Array]:
             time, angle = _points(stream.read().decode("utf-8-sig"))
     except RecipeError as error:
         raise RecipeError(f"measure_force.motion.file {error}") from None
+    except UnicodeDecodeError as error:
+        raise RecipeError(
+            f"measure_force.motion.file {file}: byte {error.start} is not UTF-8; give a text, "
+            "saved in UTF-8"
+        ) from None
     except ValueError as error:
         raise RecipeError(
             f"measure_force.motion.file {file}: cannot be used as a path: {error}"

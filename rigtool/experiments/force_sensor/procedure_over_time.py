@@ -273,10 +273,10 @@ def model_and_reach(tables: Run, kt: Run, recipe: Recipe) -> tuple[ForceModel, R
     tables.require_command("ilc-learn")
     model = model_from(tables, recipe)
     require_rig(tables, recipe)
-    return model, reach_of(tables, kt, recipe)
+    return model, reach_of(tables, kt)
 
 
-def reach_of(tables: Run, kt: Run, recipe: Recipe) -> Reach:
+def reach_of(tables: Run, kt: Run) -> Reach:
     """Return how far the model in these tables was learned.
 
     Angles and torques are those of the known loads, speeds those of all learned strokes,

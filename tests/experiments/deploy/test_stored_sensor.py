@@ -1,5 +1,6 @@
 """The sensor of a stored run: what is in it, and what is refused."""
 
+import math
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,18 @@ from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
-from rigtool.experiments.force_model.stored import model_from, model_results, model_tables
+from rigtool.experiments.force_model.stored import (
+    COVARIANCE,
+    MODEL_PREFIX,
+    MODEL_UNITS,
+    TERMS,
+    model_from,
+    model_results,
+    model_tables,
+)
+from rigtool.experiments.force_model.stored import (
+    SCALES as SCALES_TABLE,
+)
 from rigtool.experiments.force_sensor.procedure_over_time import reach_of
 from rigtool.experiments.force_sensor.procedure_reading import instrument_of
 from rigtool.recipe import load_recipe
@@ -105,7 +117,7 @@ def test_the_sensor_of_a_run_reads_what_python_reads(tables, kt, tmp_path):
     np.testing.assert_array_equal(model.scales, [SCALES[::-1], SCALES])
     np.testing.assert_array_equal(model.limits, LIMITS)
     assert model.learned.shape == SHAPE
-    own = instrument_of(recipe, kt, model, reach_of(tables, kt, recipe), recipe.rig.sample_time)
+    own = instrument_of(recipe, kt, model, reach_of(tables, kt), recipe.rig.sample_time)
     wanted = expected(own, samples)
     found = compiled(tmp_path, text).add(samples)
     assert np.isfinite(wanted).mean() > 0.5
@@ -115,6 +127,38 @@ def test_the_sensor_of_a_run_reads_what_python_reads(tables, kt, tmp_path):
 def test_tables_without_a_length_at_rest_have_the_whole_bristle_there(tmp_path):
     with open_run(learned_run(tmp_path / "d.h5", without="model_resting_part")) as run:
         assert model_from(run, run.recipe).learned.shape == replace(SHAPE, resting_part=1.0)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, 1e300, -1e300])
+@pytest.mark.parametrize("name", [MODEL_PREFIX + name for name in MODEL_UNITS])
+def test_an_edited_number_is_used_or_refused(tables, monkeypatch, name, value):
+    edited = replace(tables.results[name], value=value)
+    monkeypatch.setattr(tables, "results", {**tables.results, name: edited})
+    may = name[len(MODEL_PREFIX) :] in ("stroke", "load", "noise", "offset_current")
+    if may and abs(value) < 10:
+        model_from(tables, tables.recipe)
+    else:
+        with pytest.raises(RunFileError, match=name):
+            model_from(tables, tables.recipe)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e300])
+@pytest.mark.parametrize(
+    ("table", "column"),
+    [
+        (TERMS, "kind"),
+        (TERMS, "coefficient"),
+        (SCALES_TABLE, "smoothed"),
+        (COVARIANCE, "covariance"),
+    ],
+)
+def test_an_edited_column_is_refused(tables, monkeypatch, table, column, value):
+    stored = tables.tables[table]
+    wrong = replace(stored.columns[column], values=np.full_like(stored[column], value))
+    edited = replace(stored, columns={**stored.columns, column: wrong})
+    monkeypatch.setattr(tables, "tables", {**tables.tables, table: edited})
+    with pytest.raises(RunFileError, match=column):
+        model_from(tables, tables.recipe)
 
 
 @pytest.mark.parametrize("name", ["stiffness", "bearing_length"])

@@ -61,11 +61,12 @@ def test_a_path_within_what_was_learned_stays_there():
         ("time_s,angle_deg\n0,1\n1\n", "line 3, '1', must"),
         ("time_s,angle_deg\n0,2,5\n1,3,5\n", "line 2, '0,2,5', must"),
         ("", "cannot be used"),
+        ("time_s,angle_deg\n0,\xb5\n", "byte 19 is not UTF-8; give a text, saved in UTF-8"),
     ],
 )
 def test_a_file_that_is_no_path_is_refused(tmp_path, text, message):
     file = tmp_path / "path.csv"
-    file.write_text(text)
+    file.write_text(text, encoding="latin-1")
     with pytest.raises(RecipeError, match=message):
         path_of(file)
 
