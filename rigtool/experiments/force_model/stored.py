@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import MISSING, asdict, fields
 
 import numpy as np
@@ -172,9 +173,6 @@ def model_from(run: Run, recipe: Recipe) -> ForceModel:
     table = run.table(TERMS, **dict.fromkeys((*_ABOUT, "coefficient"), "1"))
     rig = (run.recipe or recipe).rig  # coefficients rest on its values
 
-    def value(name: str) -> float:
-        return run.result(MODEL_PREFIX + name, MODEL_UNITS[name]).value
-
     try:
         terms = tuple(
             Term(Kind(int(kind)), float(spread), int(order), int(quarter))
@@ -182,24 +180,18 @@ def model_from(run: Run, recipe: Recipe) -> ForceModel:
                 *(table[name] for name in ("kind", "spread", "order", "quarter")), strict=True
             )
         )
-        later = {f.name for f in fields(Shape) if f.default is not MISSING}  # than older tables
-        absent = {name for name in later if MODEL_PREFIX + name not in run.results}
-        found = {f.name: value(f.name) for f in fields(Shape) if f.name not in absent}
-        sizes = found | {"noise_time": value("noise_time")}
-        if low := [name for name, size in sizes.items() if not size > 0]:
-            raise ValueError(f"{MODEL_PREFIX}{low[0]} is {sizes[low[0]]:g}, must be positive")
-        shape = Shape(**found)
+        shape = _shape_of(run)
         lengths = [run.result(MODEL_PREFIX + f"{name}_length") for name in ("bearing", "housing")]
         covariance = run.table(COVARIANCE, covariance="1")["covariance"]
         learned = LearnedModel(
             terms,
             shape,
-            Known(rig.angle_ratio, rig.torque_factor, rig.nominal_inertia, value(OFFSET)),
+            Known(rig.angle_ratio, rig.torque_factor, rig.nominal_inertia, _value(run, OFFSET)),
             table["coefficient"],
             covariance.reshape(len(SLIDING_PARAMETERS) + len(terms), -1),
             np.array([(length.u or 0.0) / length.value for length in lengths]),
         )
-        deviations = Deviations(**{field.name: value(field.name) for field in fields(Deviations)})
+        deviations = _deviations_of(run)
         scales = run.table(
             SCALES, **dict.fromkeys([name + p for name in _FORMS for p in _OF_SCALES], "1")
         )
@@ -213,3 +205,28 @@ def model_from(run: Run, recipe: Recipe) -> ForceModel:
             f"{run.path}: its model of motor and instrument cannot be used: {error}; learn it again"
         ) from None
     return ForceModel(learned, deviations, factors, thresholds)
+
+
+def _value(run: Run, name: str) -> float:
+    return run.result(MODEL_PREFIX + name, MODEL_UNITS[name]).value
+
+
+def _shape_of(run: Run) -> Shape:
+    """Return the shape; older tables may lack parameters that have a default."""
+    default = {f.name for f in fields(Shape) if f.default is not MISSING}
+    absent = {name for name in default if MODEL_PREFIX + name not in run.results}
+    found = {f.name: _value(run, f.name) for f in fields(Shape) if f.name not in absent}
+    _require_positive(found)
+    return Shape(**found)
+
+
+def _deviations_of(run: Run) -> Deviations:
+    found = {f.name: _value(run, f.name) for f in fields(Deviations)}
+    _require_positive({"noise_time": found["noise_time"]})
+    return Deviations(**found)
+
+
+def _require_positive(sizes: Mapping[str, float]) -> None:
+    for name, size in sizes.items():
+        if not size > 0:
+            raise ValueError(f"{MODEL_PREFIX}{name} is {size:g}, must be positive")
