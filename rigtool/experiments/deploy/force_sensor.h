@@ -166,6 +166,7 @@ struct rigtool_sensor {
     int32_t base; /* count that the angles are from */
     int32_t counted; /* by the step before, which left this of the angle; variance 0: none yet */
     rs_real left_angle, left_variance;
+    int rested; /* steps within it */
     int none_before, none_steps, idle; /* without a current: a sample, steps so far, for long */
     rs_real turn; /* of the output at this count, in turns */
     rs_real at, sine, cosine; /* of the output at the begin of the step */
@@ -596,6 +597,8 @@ static inline void rs_predicted(struct rigtool_sensor *s)
     if (s->x[RS_HOUSING] * s->direction < (rs_real)-0.5) {
         s->direction = -s->direction;
         rs_new_stroke(s);
+    } else if (s->rested > RS_REST_STEPS && s->encoder != s->counted) {
+        rs_new_stroke(s);
     }
 }
 
@@ -752,6 +755,10 @@ static inline void rs_update(struct rigtool_sensor *s)
         s->step_left = RS_BUSY_STEPS;
     if (RS_MATH(fabs)(s->slow_sum) > m->slow_threshold || (s->encoder != s->counted && s->idle))
         s->slow_left = RS_BUSY_STEPS; /* what moves a motor without current is the torque */
+    if (s->encoder != s->counted)
+        s->rested = 0;
+    else if (s->rested <= RS_REST_STEPS)
+        s->rested++;
     s->counted = s->encoder;
 }
 

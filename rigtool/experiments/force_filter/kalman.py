@@ -59,6 +59,10 @@ SHORT, LONG = 6e-3, 0.1
 STEP_THRESHOLD, SLOW_THRESHOLD = 4e-3, 10e-3
 """Sums (standard deviations times s) from which on a step, or a slow change, is under way."""
 
+REST_TIME = 1.0
+"""Time within a count, s, after which the deviation of the stroke is drawn anew as the rotor leaves
+it: in a rest the equations' own errors, small but of one sign, are taken for such a deviation."""
+
 FOLLOWED = (ANGLE, SPEED, HOUSING, SINE, COSINE, TORQUE)
 """States by which the torque follows a drive torque that is not known: `power_up`."""
 
@@ -85,6 +89,7 @@ STATE = np.dtype(
         ("slow_sum", "f8"),
         ("slow_left", "f8"),
         ("low", "f8"),  # of the count that the angle is in
+        ("rested", "f8"),  # steps in it
         # what the last update left of the angle; of variance 0, none yet
         ("angle", "f8"),
         ("variance", "f8"),
@@ -153,6 +158,12 @@ def begin(
 
 
 @compiled
+def rest_steps(span: float) -> float:
+    """Return the steps, of `span` s, that `REST_TIME` holds."""
+    return math.floor(REST_TIME / span + 1e-6)
+
+
+@compiled
 def _level(s: Record) -> float:
     """Return the level of the torque's noise: 0 quiet, 1 a slow change, 2 a step."""
     return 2.0 if s.step_left > 0.0 else 1.0 if s.slow_left > 0.0 else 0.0
@@ -205,10 +216,12 @@ def _predict(
     factors: Array,
     kept: float,
     least: float,
+    leaves: bool,
 ) -> bool:
     """Advance mean and covariance by step k; whether a stroke began.
 
     The torque's noise has the level `least`, at least; `kept` of the friction's noise remains.
+    `leaves` states that the angle leaves its count.
     """
     x, samples = s.mean, torque.shape[1]
     span = samples * p.sample_time
@@ -236,8 +249,10 @@ def _predict(
     rows[_at(BRISTLE, BRISTLE)] += u.bristle_rate**2 * span
     rows[_at(HOUSING, HOUSING)] += u.slip_rate**2 * span
     rows[_at(TIP, TIP)] += u.slip_rate**2 * span
-    if x[HOUSING] * s.direction < -0.5:
+    turned_back = x[HOUSING] * s.direction < -0.5
+    if turned_back:
         s.direction = -s.direction
+    if turned_back or (leaves and s.rested > rest_steps(span)):
         for i in (SINE, COSINE, LOAD):
             deviation = u.load_stroke if i == LOAD else u.stroke
             x[i] = 0.0
@@ -330,6 +345,7 @@ def _update(
         s.step_left = u.busy_time
     if abs(s.slow_sum) > SLOW_THRESHOLD or (low != s.low and idle):
         s.slow_left = u.busy_time
+    s.rested = s.rested + 1.0 if low == s.low else 0.0
     s.low, s.angle = low, x[ANGLE]
     s.variance = rows[_at(ANGLE, ANGLE)] + (u.edge * width) ** 2
     return shift / variance, weight, variance
@@ -390,6 +406,7 @@ def run(
             factors,
             kept,
             least[k],
+            low[k] != s.low,
         )
         moved, informed, before = _update(s, u, rows, low[k], width, span, memory, idle[k], gain)
         for i in range(STATES):
