@@ -60,8 +60,8 @@ STEP_THRESHOLD, SLOW_THRESHOLD = 4e-3, 10e-3
 """Sums (standard deviations times s) from which on a step, or a slow change, is under way."""
 
 REST_TIME = 1.0
-"""Time within a count, s, after which the deviation of the stroke is drawn anew as the rotor leaves
-it: in a rest the equations' own errors, small but of one sign, are taken for such a deviation."""
+"""Time within two counts, s, after which the deviation of the stroke is drawn anew as the rotor leaves
+them: in a rest the equations' own errors, small but of one sign, are taken for such a deviation."""
 
 FOLLOWED = (ANGLE, SPEED, HOUSING, SINE, COSINE, TORQUE)
 """States by which the torque follows a drive torque that is not known: `power_up`."""
@@ -89,7 +89,9 @@ STATE = np.dtype(
         ("slow_sum", "f8"),
         ("slow_left", "f8"),
         ("low", "f8"),  # of the count that the angle is in
-        ("rested", "f8"),  # steps in it
+        # steps since the angle was beyond this count and the next one, and the last one
+        ("rested_up", "f8"),
+        ("rested_down", "f8"),
         # what the last update left of the angle; of variance 0, none yet
         ("angle", "f8"),
         ("variance", "f8"),
@@ -164,6 +166,20 @@ def rest_steps(span: float) -> float:
 
 
 @compiled
+def _leaves(s: Record, moved: float, width: float, span: float) -> bool:
+    """Count the steps within two counts; return whether a rest ends by this move, rad."""
+    before, up, down = max(s.rested_up, s.rested_down), s.rested_up, s.rested_down
+    s.rested_up, s.rested_down = 0.0, 0.0
+    if abs(moved) < 0.5 * width:
+        s.rested_up, s.rested_down = up + 1.0, down + 1.0
+    elif abs(moved - width) < 0.5 * width:
+        s.rested_down = up + 1.0
+    elif abs(moved + width) < 0.5 * width:
+        s.rested_up = down + 1.0
+    return before > rest_steps(span) > max(s.rested_up, s.rested_down)
+
+
+@compiled
 def _level(s: Record) -> float:
     """Return the level of the torque's noise: 0 quiet, 1 a slow change, 2 a step."""
     return 2.0 if s.step_left > 0.0 else 1.0 if s.slow_left > 0.0 else 0.0
@@ -221,7 +237,7 @@ def _predict(
     """Advance mean and covariance by step k; whether a stroke began.
 
     The torque's noise has the level `least`, at least; `kept` of the friction's noise remains.
-    `leaves` states that the angle leaves its count.
+    `leaves` states that a rest ends.
     """
     x, samples = s.mean, torque.shape[1]
     span = samples * p.sample_time
@@ -252,7 +268,7 @@ def _predict(
     turned_back = x[HOUSING] * s.direction < -0.5
     if turned_back:
         s.direction = -s.direction
-    if turned_back or (leaves and s.rested > rest_steps(span)):
+    if turned_back or leaves:
         for i in (SINE, COSINE, LOAD):
             deviation = u.load_stroke if i == LOAD else u.stroke
             x[i] = 0.0
@@ -345,7 +361,6 @@ def _update(
         s.step_left = u.busy_time
     if abs(s.slow_sum) > SLOW_THRESHOLD or (low != s.low and idle):
         s.slow_left = u.busy_time
-    s.rested = s.rested + 1.0 if low == s.low else 0.0
     s.low, s.angle = low, x[ANGLE]
     s.variance = rows[_at(ANGLE, ANGLE)] + (u.edge * width) ** 2
     return shift / variance, weight, variance
@@ -406,7 +421,7 @@ def run(
             factors,
             kept,
             least[k],
-            low[k] != s.low,
+            _leaves(s, low[k] - s.low, width, span),
         )
         moved, informed, before = _update(s, u, rows, low[k], width, span, memory, idle[k], gain)
         for i in range(STATES):
