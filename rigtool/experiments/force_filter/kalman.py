@@ -60,7 +60,7 @@ STEP_THRESHOLD, SLOW_THRESHOLD = 4e-3, 10e-3
 """Sums (standard deviations times s) from which on a step, or a slow change, is under way."""
 
 REST_TIME = 1.0
-"""Time within two counts, s, after which the deviation of the stroke is drawn anew as the rotor leaves
+"""Time within two counts, s, after which the stroke's deviation is drawn anew as the rotor leaves
 them: in a rest the equations' own errors, small but of one sign, are taken for such a deviation."""
 
 FOLLOWED = (ANGLE, SPEED, HOUSING, SINE, COSINE, TORQUE)
@@ -166,7 +166,7 @@ def rest_steps(span: float) -> float:
 
 
 @compiled
-def _leaves(s: Record, moved: float, width: float, span: float) -> bool:
+def leaves_rest(s: Record, moved: float, width: float, span: float) -> bool:
     """Count the steps within two counts; return whether a rest ends by this move, rad."""
     before, up, down = max(s.rested_up, s.rested_down), s.rested_up, s.rested_down
     s.rested_up, s.rested_down = 0.0, 0.0
@@ -421,7 +421,7 @@ def run(
             factors,
             kept,
             least[k],
-            _leaves(s, low[k] - s.low, width, span),
+            leaves_rest(s, low[k] - s.low, width, span),
         )
         moved, informed, before = _update(s, u, rows, low[k], width, span, memory, idle[k], gain)
         for i in range(STATES):
