@@ -166,6 +166,7 @@ struct rigtool_sensor {
     int32_t base; /* count that the angles are from */
     int32_t counted; /* by the step before, which left this of the angle; variance 0: none yet */
     rs_real left_angle, left_variance;
+    int rested_up, rested_down; /* steps within this count and the next, the last one */
     int none_before, none_steps, idle; /* without a current: a sample, steps so far, for long */
     rs_real turn; /* of the output at this count, in turns */
     rs_real at, sine, cosine; /* of the output at the begin of the step */
@@ -569,6 +570,20 @@ static inline void rs_ahead(struct rigtool_sensor *s)
     rs_pass(s);
 }
 
+/* Count the steps within two counts; whether a rest ends. */
+static inline int rs_leaves(struct rigtool_sensor *s)
+{
+    const int32_t moved = (int32_t)((uint32_t)s->encoder - (uint32_t)s->counted);
+    const int up = s->rested_up, down = s->rested_down, before = up > down ? up : down;
+    s->rested_up = moved == 0 ? up + 1 : moved == -1 ? down + 1 : 0;
+    s->rested_down = moved == 0 ? down + 1 : moved == 1 ? up + 1 : 0;
+    if (s->rested_up > RS_REST_STEPS)
+        s->rested_up = RS_REST_STEPS + 1;
+    if (s->rested_down > RS_REST_STEPS)
+        s->rested_down = RS_REST_STEPS + 1;
+    return before > RS_REST_STEPS && s->rested_up < RS_REST_STEPS && s->rested_down < RS_REST_STEPS;
+}
+
 /* The end of the samples of a step: what the equations do not know is added. */
 static inline void rs_predicted(struct rigtool_sensor *s)
 {
@@ -576,7 +591,7 @@ static inline void rs_predicted(struct rigtool_sensor *s)
     const rs_real kept = m->noise_kept, forgotten = 1 / kept;
     struct rs_rows rows;
     rs_real added[RS_NOISY];
-    int i;
+    int i, fresh;
     s->x[RS_NOISE] *= kept;
     for (i = 0; i < RS_NOISE; i++)
         s->u[i][RS_NOISE] *= forgotten;
@@ -593,10 +608,13 @@ static inline void rs_predicted(struct rigtool_sensor *s)
     for (i = RS_NOISY - 1; i >= 0; i--)
         rows.weight[i] = rs_add_walk(s, added[i], rows.other[i], RS_MOVING + i);
     rs_triangular(s, &rows);
+    fresh = rs_leaves(s);
     if (s->x[RS_HOUSING] * s->direction < (rs_real)-0.5) {
         s->direction = -s->direction;
-        rs_new_stroke(s);
+        fresh = 1;
     }
+    if (fresh)
+        rs_new_stroke(s);
 }
 
 /* Mean of a density exp(-slope x) between 0 and width; *variance receives its variance. */

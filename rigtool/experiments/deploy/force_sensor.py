@@ -66,6 +66,7 @@ def sensor_header(
         "SPEED_STEPS": _within(motion_states.SPEED_TIME, grid.step_time) - 1,
         "IDLE_STEPS": idle_steps(grid.step_time),
         "BUSY_STEPS": _lasting(model.uncertainty.busy_time, grid.step_time),
+        "REST_STEPS": int(kalman.rest_steps(grid.step_time)),
         "ROW_STEPS": power_up.row_steps(grid.step_time),
         **dict(zip(("DRAW_FACTOR", "DRAW_ADDED", "DRAW_MODULUS"), power_up.DRAW, strict=True)),
         "LATE_ROWS": power_up.late_rows(grid.step_time),

@@ -59,6 +59,10 @@ SHORT, LONG = 6e-3, 0.1
 STEP_THRESHOLD, SLOW_THRESHOLD = 4e-3, 10e-3
 """Sums (standard deviations times s) from which on a step, or a slow change, is under way."""
 
+REST_TIME = 1.0
+"""Time within two counts, s, after which the stroke's deviation is drawn anew as the rotor leaves
+them: in a rest the equations' own errors, small but of one sign, are taken for such a deviation."""
+
 FOLLOWED = (ANGLE, SPEED, HOUSING, SINE, COSINE, TORQUE)
 """States by which the torque follows a drive torque that is not known: `power_up`."""
 
@@ -85,6 +89,9 @@ STATE = np.dtype(
         ("slow_sum", "f8"),
         ("slow_left", "f8"),
         ("low", "f8"),  # of the count that the angle is in
+        # steps since the angle was beyond this count and the next one, and the last one
+        ("rested_up", "f8"),
+        ("rested_down", "f8"),
         # what the last update left of the angle; of variance 0, none yet
         ("angle", "f8"),
         ("variance", "f8"),
@@ -153,6 +160,26 @@ def begin(
 
 
 @compiled
+def rest_steps(span: float) -> float:
+    """Return the steps, of `span` s, that `REST_TIME` holds."""
+    return math.floor(REST_TIME / span + 1e-6)
+
+
+@compiled
+def leaves_rest(s: Record, moved: float, width: float, span: float) -> bool:
+    """Count the steps within two counts; return whether a rest ends by this move, rad."""
+    before, up, down = max(s.rested_up, s.rested_down), s.rested_up, s.rested_down
+    s.rested_up, s.rested_down = 0.0, 0.0
+    if abs(moved) < 0.5 * width:
+        s.rested_up, s.rested_down = up + 1.0, down + 1.0
+    elif abs(moved - width) < 0.5 * width:
+        s.rested_down = up + 1.0
+    elif abs(moved + width) < 0.5 * width:
+        s.rested_up = down + 1.0
+    return before > rest_steps(span) > max(s.rested_up, s.rested_down)
+
+
+@compiled
 def _level(s: Record) -> float:
     """Return the level of the torque's noise: 0 quiet, 1 a slow change, 2 a step."""
     return 2.0 if s.step_left > 0.0 else 1.0 if s.slow_left > 0.0 else 0.0
@@ -205,10 +232,12 @@ def _predict(
     factors: Array,
     kept: float,
     least: float,
+    leaves: bool,
 ) -> bool:
     """Advance mean and covariance by step k; whether a stroke began.
 
     The torque's noise has the level `least`, at least; `kept` of the friction's noise remains.
+    `leaves` states that a rest ends.
     """
     x, samples = s.mean, torque.shape[1]
     span = samples * p.sample_time
@@ -236,8 +265,10 @@ def _predict(
     rows[_at(BRISTLE, BRISTLE)] += u.bristle_rate**2 * span
     rows[_at(HOUSING, HOUSING)] += u.slip_rate**2 * span
     rows[_at(TIP, TIP)] += u.slip_rate**2 * span
-    if x[HOUSING] * s.direction < -0.5:
+    turned_back = x[HOUSING] * s.direction < -0.5
+    if turned_back:
         s.direction = -s.direction
+    if turned_back or leaves:
         for i in (SINE, COSINE, LOAD):
             deviation = u.load_stroke if i == LOAD else u.stroke
             x[i] = 0.0
@@ -390,6 +421,7 @@ def run(
             factors,
             kept,
             least[k],
+            leaves_rest(s, low[k] - s.low, width, span),
         )
         moved, informed, before = _update(s, u, rows, low[k], width, span, memory, idle[k], gain)
         for i in range(STATES):

@@ -1,0 +1,33 @@
+"""A rest ends where the encoder leaves the two counts that it was in for long."""
+
+import itertools
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rigtool.experiments.force_filter.kalman import REST_TIME, STATE, leaves_rest, rest_steps
+
+SPAN = REST_TIME / 5
+WIDTH = 0.01
+
+
+def rested(counts):
+    """Return the steps up to the last one that stay within two counts."""
+    steps = 0
+    for first in range(len(counts) - 2, -1, -1):
+        if np.ptp(counts[first:]) > 1:
+            break
+        steps += 1
+    return steps
+
+
+@given(st.lists(st.sampled_from([-3, -1, -1, 0, 0, 0, 0, 1, 1, 2]), max_size=60))
+def test_a_rest_ends_where_the_counts_are_left(moves):
+    counts = np.cumsum([0, *moves])
+    state = np.zeros(1, dtype=STATE)
+    found = [bool(leaves_rest(state[0], move * WIDTH, WIDTH, SPAN)) for move in moves]
+    long = [rested(counts[: end + 1]) for end in range(len(counts))]
+    limit = rest_steps(SPAN)
+    wanted = [before > limit > now for before, now in itertools.pairwise(long)]
+    assert found == wanted
