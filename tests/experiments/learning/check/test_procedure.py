@@ -161,7 +161,10 @@ def test_an_instrument_is_checked_on_its_range(moved, folder, kt):
     assert "a part of the turn does not show which" in power.notes[0]
     stiff = check(tables, folder, kt, "virtual.instrument.friction=12.6e-3", seed=seed)
     assert not ilc_check.fits(stiff)
-    assert "friction has changed by +2" in stiff.notes[0]
+    change = stiff.results["friction_change"]
+    stated = f"{change.value * 1e3:+.2g} +- {change.u * 1e3:.1g} mN m"
+    assert f"friction has changed by {stated}" in stiff.notes[0]
+    assert stated.startswith("+2")
     assert "another shape" not in stiff.notes[0]
 
 
