@@ -28,10 +28,10 @@ ADJOINT_COLUMN = STATES
 def room(count: int, samples: int) -> tuple[Array, ...]:
     """Return arrays for the data that the filter keeps of `count` steps of `samples` samples each.
 
-    Factors of the samples (count * samples, FACTOR_COUNT), see `linear`; where a stroke began (count,),
-    correction s d / s^2 [1/rad], weight 1 - rho and prior variance s^2 [rad2] of the update,
-    (count,) each, its gain (count, 12), and the covariance of the torque, and of the torque behind
-    the low-pass, with the states (count, 12).
+    Factors of the samples (count * samples, FACTOR_COUNT), see `linear`; where a stroke began
+    (count,), correction s d / s^2 [1/rad], weight 1 - rho and prior variance s^2 [rad2] of the
+    update, (count,) each, its gain (count, 12), and the covariance of the torque, and of the torque
+    behind the low-pass, with the states (count, 12).
     """
     numbers = [np.empty(count) for _ in range(4)]
     rows = [np.empty((count, STATES)) for _ in range(3)]
