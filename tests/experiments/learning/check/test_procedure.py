@@ -90,7 +90,7 @@ def test_a_power_cycle_is_another_pattern(turned, folder, kt):
     assert difference.value > 3 * difference.u
 
 
-def test_friction_that_drifted_is_told(turned, folder, kt):
+def test_friction_that_drifted_is_reported(turned, folder, kt):
     tables, seed = turned
     change = 0.6e-3 * (-1) ** seed
     drifted = f"virtual.motor.coulomb_friction={2.3e-3 + change}"
@@ -137,7 +137,7 @@ def unchanged(turned, folder, kt):
 
 
 @pytest.mark.parametrize("counts", [2000, 300])
-def test_a_slip_of_the_index_is_told_with_its_counts(turned, unchanged, kt, counts):
+def test_a_slip_of_the_index_is_reported_with_its_counts(turned, unchanged, kt, counts):
     tables, _ = turned
     with open_run(unchanged[0]) as stored, open_run(tables) as table, open_run(kt) as k:
         outcome = ilc_check.analyse([Slipped(stored, counts)], stored.recipe, tables=table, kt=k)
