@@ -66,8 +66,7 @@ class Feedforward:
 
     def model_torque(self, speed: Array, acceleration: Array) -> Array:
         """Return the torque (n,) of inertia and friction model, N m; rad/s and rad/s2 (n,)."""
-        torque: Array = model_torque(self.coefficients, speed, acceleration)
-        return torque
+        return model_torque(self.coefficients, speed, acceleration)
 
 
 @dataclass(frozen=True)

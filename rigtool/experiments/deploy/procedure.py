@@ -169,8 +169,7 @@ def _ripple(waveforms: Array) -> float:
 
 
 def _line_facts(run: Run) -> dict[str, Any]:
-    facts: dict[str, Any] = json.loads(run.provenance.get("line") or "{}")
-    return facts
+    return json.loads(run.provenance.get("line") or "{}")
 
 
 def _origin_remarks(tables: Run, recipe: Recipe) -> list[str]:

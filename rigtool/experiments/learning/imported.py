@@ -140,8 +140,7 @@ class _Row:
     def at(self, position: Array) -> Array:
         """Return mean and orders at positions (n,), rad."""
         angles = np.multiply.outer(position, self.orders.order) + self.orders.phase
-        values: Array = self.mean + np.cos(angles) @ self.orders.amplitude
-        return values
+        return self.mean + np.cos(angles) @ self.orders.amplitude
 
     @property
     def u(self) -> float:
@@ -171,8 +170,7 @@ def _steadied(floor: Array) -> Array:
     window = np.ones(2 * NEIGHBOURING_ORDERS + 1)
     here = slice(NEIGHBOURING_ORDERS, NEIGHBOURING_ORDERS + floor.size)
     around = (np.convolve(floor**2, window) / np.convolve(floor**0, window))[here]
-    steadied: Array = np.maximum(floor, np.sqrt(around))
-    return steadied
+    return np.maximum(floor, np.sqrt(around))
 
 
 def _learn(group: RepeatedRuns) -> _Row:

@@ -40,10 +40,7 @@ IMPLEMENTATIONS = {
 def implementation_of(name: str) -> type[Implementation[Any]]:
     """Return one of `IMPLEMENTATIONS`."""
     module, kind = IMPLEMENTATIONS[name]
-    found: type[Implementation[Any]] = getattr(
-        import_module(f"rigtool.experiments.learning.implementations.{module}"), kind
-    )
-    return found
+    return getattr(import_module(f"rigtool.experiments.learning.implementations.{module}"), kind)
 
 
 def asked(options: CommonOptions, name: str | None, *, validate: bool) -> CommonOptions:

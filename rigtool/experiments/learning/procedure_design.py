@@ -236,5 +236,4 @@ def _origin(recipe: Recipe, plant: Run | None, learning: Learning) -> tuple[str,
 
 
 def _phase(response: ComplexArray) -> Array:
-    phase: Array = np.unwrap(np.angle(response))
-    return phase
+    return np.unwrap(np.angle(response))

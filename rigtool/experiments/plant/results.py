@@ -251,8 +251,7 @@ class _Loop:
 
 def unwrapped(response: ComplexArray) -> Array:
     """Return the phase, rad, without jumps."""
-    phase: Array = np.unwrap(np.angle(response))
-    return phase
+    return np.unwrap(np.angle(response))
 
 
 def _notes(found: IdentifiedPlant, recipe: Recipe) -> list[str]:

@@ -80,15 +80,13 @@ class RepeatedRuns:
         spectrum = self.spectra["torque"]
         count = len(spectrum.order)
         by_alias = self.leak[:count] * spectrum.amplitude / math.sqrt(3)
-        total: Array = np.hypot(spectrum.u, by_alias)
-        return total
+        return np.hypot(spectrum.u, by_alias)
 
     def clear(self) -> Mask:
         """Return the orders (m,) that stand out: of noise alone one in all would, by chance."""
         spectrum = self.spectra["torque"]
         level = max(SIGNIFICANT_RATIO, math.sqrt(math.log(len(spectrum.order))))
-        found: Mask = spectrum.amplitude > level * spectrum.noise_floor
-        return found
+        return spectrum.amplitude > level * spectrum.noise_floor
 
 
 def cells_for(recordings: Sequence[Recording]) -> int:

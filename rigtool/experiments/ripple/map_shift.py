@@ -57,8 +57,7 @@ def map_orders(position: Array, values: Array, orders: int) -> ComplexArray:
     turning = np.exp(1j * np.outer(angle, order))
     design = np.column_stack([np.ones(len(angle)), turning.real, -turning.imag])
     found = np.linalg.lstsq(design, value, rcond=None)[0]
-    coefficients: ComplexArray = found[1 : orders + 1] + 1j * found[orders + 1 :]
-    return coefficients
+    return found[1 : orders + 1] + 1j * found[orders + 1 :]
 
 
 def match_maps(reference: ComplexArray, other: ComplexArray) -> Match:

@@ -93,8 +93,7 @@ class Sampling:
     def gain(self, order: Array) -> Array:
         """Return the remaining part of the amplitude of orders (m,) up to the highest."""
         cycles = order * self.step
-        left: Array = np.sinc(cycles) ** 2 * np.sinc(cycles) / np.sinc(cycles / self.averaged)
-        return left
+        return np.sinc(cycles) ** 2 * np.sinc(cycles) / np.sinc(cycles / self.averaged)
 
 
 NO_ATTENUATION = Sampling(0.0)
@@ -119,8 +118,7 @@ class Ripple:
     @property
     def mean(self) -> Array:
         """Repeatable part (positions,)."""
-        mean: Array = self.waveforms.mean(axis=0)
-        return mean
+        return self.waveforms.mean(axis=0)
 
     def rms(self) -> Rms:
         """Return the rms of the repeatable part and of the rest.
@@ -177,14 +175,12 @@ class Spectrum:
     @property
     def clear(self) -> Mask:
         """Whether each order is significant (m,)."""
-        clear: Mask = self.amplitude > SIGNIFICANT_RATIO * self.noise_floor
-        return clear
+        return self.amplitude > SIGNIFICANT_RATIO * self.noise_floor
 
     @property
     def u(self) -> Array:
         """Standard uncertainty of each amplitude (m,) by scatter."""
-        u: Array = self.noise_floor / math.sqrt(2)
-        return u
+        return self.noise_floor / math.sqrt(2)
 
     def only(self, chosen: Mask) -> Spectrum:
         """Return the orders that are `chosen` (m,)."""
@@ -277,8 +273,7 @@ def coefficients(
     resolved = order <= sampling.highest_order
     correction[resolved] /= sampling.gain(order[resolved])
     correction[~resolved] = 0.0
-    found: ComplexArray = np.fft.rfft(waveforms, axis=1)[:, 1 : orders + 1] * correction
-    return found
+    return np.fft.rfft(waveforms, axis=1)[:, 1 : orders + 1] * correction
 
 
 @dataclass(frozen=True, eq=False)

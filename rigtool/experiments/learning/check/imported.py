@@ -294,5 +294,4 @@ def _orders_of(learned: LearnedTable, speed: float) -> Orders:
     orders = min(HIGHEST_ORDER, (count - 1) // 2)
     order = np.arange(1, orders + 1)
     found = np.fft.rfft(table.torque[_row(learned, speed)])[1 : orders + 1] * (2 / count)
-    turned: Orders = found * np.exp(-1j * order * table.position[0])
-    return turned
+    return found * np.exp(-1j * order * table.position[0])

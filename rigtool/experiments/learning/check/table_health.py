@@ -59,8 +59,7 @@ class ParityPart:
     @property
     def now(self) -> Array:
         """Mean of the moves (n,)."""
-        now: Array = self.moves.mean(axis=0)
-        return now
+        return self.moves.mean(axis=0)
 
 
 @dataclass(frozen=True)
@@ -329,8 +328,7 @@ def _misfit(left: Array, slope: Array, pattern: Array) -> float:
 
 def _varying(values: Array) -> Array:
     """Return values (..., n) without their mean over position."""
-    varying: Array = values - values.mean(axis=-1, keepdims=True)
-    return varying
+    return values - values.mean(axis=-1, keepdims=True)
 
 
 def _leftovers(learned: Array, there: Array, margin: int) -> Array:
@@ -351,8 +349,7 @@ def _leftovers(learned: Array, there: Array, margin: int) -> Array:
         products = np.array([np.sum(known * there) for known in moved])
         powers = np.array([np.sum(known**2) for known in moved])
     gained = np.maximum(products, 0.0) ** 2 / np.maximum(powers, np.finfo(float).tiny)
-    leftovers: Array = 1 - gained / total
-    return leftovers
+    return 1 - gained / total
 
 
 def _nearest(leftovers: Array, periodic: bool) -> int:

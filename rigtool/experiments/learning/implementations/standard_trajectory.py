@@ -154,8 +154,7 @@ def _judge(run: _Moves, learning: Learning, updates: int) -> LearningRun:
 
 def _centred(error: Array) -> Array:
     """Subtract the mean: half a count of the encoder, and the part that the integrator controls."""
-    centred: Array = error - error.mean()
-    return centred
+    return error - error.mean()
 
 
 def _cut(
@@ -185,8 +184,7 @@ def _through(error: Array, period: float, controller: TransferFunction) -> Array
     frequency = np.fft.rfftfreq(count, period / count)
     response = np.zeros(frequency.size, dtype=np.complex128)
     response[1:] = controller.response(frequency[1:])
-    torque: Array = np.fft.irfft(np.fft.rfft(error, axis=1) * response, count, axis=1)
-    return torque
+    return np.fft.irfft(np.fft.rfft(error, axis=1) * response, count, axis=1)
 
 
 def _trajectory(learned: TaughtSignal, final: _Moves, recipe: Recipe, learning: Learning) -> Table:
@@ -194,8 +192,7 @@ def _trajectory(learned: TaughtSignal, final: _Moves, recipe: Recipe, learning: 
     period = final.cycles.period
 
     def mean_error(run: _Moves) -> Array:
-        mean: Array = learning.smoothed(_centred(run.error), period).mean(axis=0)
-        return mean
+        return learning.smoothed(_centred(run.error), period).mean(axis=0)
 
     return Table(
         ("time",),
