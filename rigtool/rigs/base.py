@@ -155,24 +155,18 @@ class Rig(Protocol):
     @property
     def position(self) -> float:
         """Angle of the shaft, rad."""
-        ...
 
     def perform(self, task: Task) -> Iterator[Block]:
         """Run a task and yield its signals in blocks; moves to the motion's start first."""
-        ...
 
     def move_by(self, angle: float) -> None:
         """Turn the shaft by an angle, rad, and come to rest; nothing is recorded."""
-        ...
 
     def clamp(self, angle: float) -> None:
         """Clamp the arm with the shaft at this angle, rad."""
-        ...
 
     def soak(self, temperature_degc: float) -> None:
         """Wait until the motor has this temperature throughout, degC."""
-        ...
 
     def power_cycle(self) -> None:
         """Switch the amplifier off and on: it calibrates itself again."""
-        ...

@@ -38,11 +38,9 @@ class Inverse(Protocol):
     @property
     def advance(self) -> int:
         """Samples by which L is advanced in time."""
-        ...
 
     def response(self, frequency: Array, *, shifted: bool = True) -> ComplexArray:
         """Return L (n,) at these frequencies, Hz; without `advance` where not `shifted`."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rigtool.errors import InsufficientDataError
+from rigtool.errors import naming
 from rigtool.experiments.imported import moves, place, position_of
 from rigtool.experiments.ripple.imported_turns import (
     CELLS_AN_ORDER,
@@ -124,10 +124,8 @@ def turns_of(recording: Recording, kt: Run | None, positions: int = WAVEFORM_CEL
     if not moves(recording):
         speed = recording.condition(CONSTANT_SPEED) / (2 * math.pi)
         angle = (time - time[0]) * refined_speed(time, effort, speed)
-    try:
+    with naming(place(recording)):
         return find_turns(time, angle, effort, positions)
-    except InsufficientDataError as error:
-        raise InsufficientDataError(f"{place(recording)}: {error}") from None
 
 
 def groups_of(recordings: Sequence[Recording], turns: Sequence[Turns]) -> list[RepeatedRuns]:

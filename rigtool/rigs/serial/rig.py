@@ -9,7 +9,7 @@ import queue
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Generator, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any, Self
 
 import numpy as np
@@ -215,7 +215,7 @@ class SerialRig(Rig, ABC):
             "port": self._settings.port,
             "identity": self._identity,
             "missing_samples": 0,
-            **self.line.counts.as_dict(),
+            **asdict(self.line.counts),
             **self._facts(),
         }
         if self._gauges:

@@ -152,7 +152,7 @@ def analyse(
     require_rig(tables, recipe)
     run, learned = common.only_run(runs), learned_table_from(tables)
     constant, learning = torque_per_ampere(kt).value, _filters(recipe, plant, tables)
-    recorded = common.filled(run, "check") or common.found(run, "learn")
+    recorded = run.recordings_named("check_") or common.found(run, "learn")
     fed = friction_beside(tables)
     whole = learned.table.period is not None
     if whole != _turns(recorded[0].conditions):
