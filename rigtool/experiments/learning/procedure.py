@@ -107,16 +107,8 @@ def analyse(
     )
 
 
-def _analyse_imported(runs: Sequence[Run], **inputs: Any) -> Outcome:
-    from rigtool.experiments.learning.imported import analyse_imported
-
-    return analyse_imported(runs, **inputs)
-
-
-def _analyse_imported_loads(runs: Sequence[Run], **inputs: Any) -> Outcome:
-    from rigtool.experiments.imported_load.imported import analyse_imported
-
-    return analyse_imported(runs, **inputs)
+def _analyse_imported(room: str, runs: Sequence[Run], **inputs: Any) -> Outcome:
+    return import_module(f"rigtool.experiments.{room}.imported").analyse_imported(runs, **inputs)
 
 
 PROCEDURE = Procedure(
@@ -125,7 +117,7 @@ PROCEDURE = Procedure(
     measure,
     analyse,
     needed=("kt",),
-    analyse_imported=_analyse_imported,
+    analyse_imported=partial(_analyse_imported, "learning"),
     rig_needs=rig_needs,
     analysis_settings=(
         "ilc_learn.robustness_hz",
@@ -151,7 +143,8 @@ def of_stored(name: str | None) -> Procedure:
     if name != "D":
         return procedure
     settings = {"measure_force.lowpass_hz": "bandwidth_hz"}
-    return replace(procedure, analyse_imported=_analyse_imported_loads, imported_settings=settings)
+    loads = partial(_analyse_imported, "imported_load")
+    return replace(procedure, analyse_imported=loads, imported_settings=settings)
 
 
 def _analyse_named(name: str, runs: Sequence[Run], recipe: Recipe, **inputs: Run | None) -> Outcome:

@@ -214,7 +214,7 @@ class Implementation(ABC, Generic[T]):
             {**report.tables, **self.filters.tables()},
             (
                 *report.learned,
-                *self.filters.notes(),
+                *self.filters.origin,
                 *report.switched_on,
                 *iterations_notes(taught.history, 1e3, self.UNIT, most),
                 *report.validated.notes,
