@@ -134,12 +134,7 @@ def _map(
             f"{tables.path}: takes up to {peak:.4g} A, beyond serial.limits.current = "
             f"{limit:g} A: a table of cogging is far smaller; check how it was learned"
         )
-    remarks = []
-    if turn.mean:
-        remarks.append(f"the mean over the turn, {turn.mean:.4g} A, is left out")
-    if not turn.both_directions:
-        remarks.append("one direction alone: friction that varies with position is in the map")
-    return turn, remarks + learned.friction_lines()
+    return turn, turn.remarks("A") + learned.friction_lines()
 
 
 def _ripple_remark(tables: Run, speed: float) -> str:

@@ -44,21 +44,12 @@ MAP_POSITIONS = 2000
 """Positions of a learned map: twenty to a cycle of the highest order."""
 
 
-def analyse_imported(
-    runs: Sequence[Run],
-    *,
-    kt: Run | None = None,
-    friction: Run | None = None,
-    plant: Run | None = None,
-) -> Outcome:
+def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
     """Learn a map of the turn from runs under one condition; a row for each speed.
 
     Raises `UsageError` for runs under several conditions, `InsufficientDataError` where no turn is
     repeated or nothing exceeds the scatter.
     """
-    for name, given in (("friction", friction), ("plant", plant)):
-        if given is not None:
-            raise UsageError(f"--{name}: is of the bench's own rig, imported runs do without")
     if all(MAP in run.tables for run in runs):
         return _learn_maps(runs)
     recordings = rotary_recordings(runs, "that has no turns to learn")

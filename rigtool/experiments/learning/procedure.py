@@ -107,7 +107,18 @@ def analyse(
     )
 
 
-def _analyse_imported(room: str, runs: Sequence[Run], **inputs: Any) -> Outcome:
+def _analyse_imported(
+    room: str,
+    runs: Sequence[Run],
+    *,
+    friction: Run | None = None,
+    plant: Run | None = None,
+    **inputs: Any,
+) -> Outcome:
+    """Learn from imported runs; raises `UsageError` for options of the bench's own rig."""
+    for name, given in (("friction", friction), ("plant", plant)):
+        if given is not None:
+            raise UsageError(f"--{name}: is of the bench's own rig, imported runs do without")
     return import_module(f"rigtool.experiments.{room}.imported").analyse_imported(runs, **inputs)
 
 
