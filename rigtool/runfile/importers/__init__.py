@@ -44,16 +44,6 @@ from rigtool.runfile.provenance import Source, file_sha256
 from rigtool.runfile.writer import RunWriter
 from rigtool.signals import SIGNALS
 
-__all__ = [
-    "Import",
-    "Imported",
-    "first_of",
-    "import_files",
-    "importers",
-    "recognised",
-    "understand",
-]
-
 IMPORTERS = {"epos": epos.IMPORTER}
 """Formats that are recognised without a mapping, in the order in which they are tried."""
 
