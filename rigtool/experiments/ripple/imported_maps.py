@@ -10,14 +10,8 @@ import numpy as np
 
 from rigtool.errors import UsageError, naming
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.ripple.map_shift import (
-    Match,
-    highest_order,
-    map_orders,
-    match_maps,
-    typical,
-)
-from rigtool.experiments.ripple.orders import HIGHEST_ORDER
+from rigtool.experiments.ripple.map_shift import highest_order, map_orders, match_maps, typical
+from rigtool.experiments.ripple.orders import HIGHEST_ORDER, Match
 from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Run, Table

@@ -27,10 +27,11 @@ from rigtool.experiments.ripple.imported_groups import (
 )
 from rigtool.experiments.ripple.imported_maps import SAME_MAP_VARIANCE, SIGNIFICANT_SHIFT
 from rigtool.experiments.ripple.imported_turns import fill, reduction
-from rigtool.experiments.ripple.map_shift import Match, match_maps
+from rigtool.experiments.ripple.map_shift import match_maps
 from rigtool.experiments.ripple.orders import (
     HIGHEST_ORDER,
     WAVEFORM_CELLS,
+    Match,
     Spectrum,
     cell_centres,
     neighbours_floor,

@@ -26,6 +26,7 @@ import numpy as np
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.learning.rows import Row
+from rigtool.experiments.ripple.orders import summit
 from rigtool.numerics.arrays import Array, Mask
 
 SHIFT_REACH = 0.25
@@ -358,13 +359,5 @@ def _nearest(leftovers: Array, periodic: bool) -> int:
     shifts = np.arange(size)
     shifts = np.where(shifts > size // 2, shifts - size, shifts) if periodic else shifts - size // 2
     good = np.flatnonzero(leftovers <= leftovers.min() + EQUALLY_GOOD)
-    first = good[np.argmin(np.abs(shifts[good]))]
-    # Go down to the minimum next to it.
-    while True:
-        around = [
-            (first + k) % size if periodic else min(max(first + k, 0), size - 1) for k in (0, -1, 1)
-        ]
-        best = min(around, key=lambda i: leftovers[i])
-        if best == first:
-            return int(shifts[first])
-        first = best
+    first = int(good[np.argmin(np.abs(shifts[good]))])
+    return int(shifts[summit(-leftovers, first, periodic=periodic)])
