@@ -363,7 +363,7 @@ def match_orders(a: ComplexArray, b: ComplexArray) -> tuple[float, float, float,
 
 
 def summit(values: Array, start: int, *, periodic: bool = True) -> int:
-    """Return the index of the local maximum uphill from `start`, on a circle where `periodic`."""
+    """Return the index of the maximum of values (n,) uphill from `start`; `periodic`: a circle."""
     size = len(values)
     while True:
         around = [
