@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 
 def did_you_mean(name: str, known: Iterable[str], otherwise: str = "") -> str:
@@ -85,6 +86,15 @@ class InsufficientDataError(RigtoolError, ValueError):
     """The data do not support the requested result (exit code 4)."""
 
     exit_code = 4
+
+
+@contextmanager
+def naming(where: object) -> Iterator[None]:
+    """Name in each `InsufficientDataError` that is raised within this context what it is of."""
+    try:
+        yield
+    except InsufficientDataError as error:
+        raise InsufficientDataError(f"{where}: {error}") from None
 
 
 class HardwareError(RigtoolError, OSError):

@@ -83,15 +83,16 @@ def _turns(run: Run, kt: Run, name: str) -> tuple[Array, Array]:
     """
     from rigtool.errors import RunFileError
     from rigtool.experiments.learning.implementations.a_one_speed import narrowed
-    from rigtool.experiments.learning.implementations.bare_motor import torque_by, turned
+    from rigtool.experiments.learning.implementations.bare_motor import turned
     from rigtool.experiments.learning.procedure_design import design_filters
+    from rigtool.experiments.learning.turns import torque_row
     from rigtool.experiments.torque_per_ampere import torque_per_ampere
 
     if run.recipe is None:
         raise RunFileError(f"{run.path}: holds no recipe, so its turns cannot be cut: learn again")
     recipe, learning = run.recipe, narrowed(design_filters(run.recipe), run.recipe)
     cut = turned(run.recording(name), recipe, torque_per_ampere(kt).value)
-    torque = torque_by(cut, learning, recipe.rig.encoder_counts).moves
+    torque = torque_row(cut.turns, cut.speed, learning, recipe.rig.encoder_counts).moves
     places = np.arange(float(recipe.rig.encoder_counts))
     places, torque = thin(MAX_POINTS, places, MILLI * (torque - torque.mean()))
     return places, torque

@@ -89,8 +89,7 @@ class LazyGroup(click.Group):
         """
         if cmd_name in COMMANDS:
             module = importlib.import_module(f"rigtool.cli.{module_name(cmd_name)}")
-            command: click.Command = module.command
-            return command
+            return module.command
         added = _added()
         if cmd_name not in added:
             return None

@@ -46,7 +46,6 @@ class Output:
     json: bool = False
     tables: bool = True
     quiet: bool = False
-    verbose: bool = False
     overwrite: bool = False
     stream: bool = False
     printed: bool = False

@@ -69,10 +69,7 @@ class LookupTable:
         along = np.interp(speed, self._speeds, self._numbers)
         column = np.minimum(across.astype(np.int64), count - 2)
         row = np.minimum(along.astype(np.int64), self._speeds.size - 2)
-        torque: Array = blend(
-            self._rows.ravel(), row * count + column, count, across - column, along - row
-        )
-        return torque
+        return blend(self._rows.ravel(), row * count + column, count, across - column, along - row)
 
     @cached_property
     def _numbers(self) -> Array:
@@ -96,8 +93,7 @@ class LookupTable:
             within &= position <= self.position[-1] + 1e-6 * step
         slack = 1e-6 * self.low_speed[-1]
         within &= (speed >= self._speeds[0] - slack) & (speed <= self._speeds[-1] + slack)
-        covered: Mask = within
-        return covered
+        return within
 
     def _with_low_speeds(self) -> tuple[Array, Array]:
         """Return speeds and rows with one row for each low speed: amplitude times lowest row.

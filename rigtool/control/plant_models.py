@@ -61,8 +61,7 @@ class PlantModel:
     def transfer(self, s: ComplexArray) -> ComplexArray:
         """Return P(s) of the continuous plant at complex frequencies (n,), rad/s."""
         if self.motor_side is None:
-            rigid: ComplexArray = 1 / (s * (self.inertia * s + self.viscous))
-            return rigid
+            return 1 / (s * (self.inertia * s + self.viscous))
         first = self.inertia * self.motor_side
         second = self.inertia - first
         omega = 2 * math.pi * self.antiresonance_hz

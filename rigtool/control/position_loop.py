@@ -102,8 +102,7 @@ class _Section:
         order = len(self.den) - 1
         padding = np.zeros(2 - order)
         row = np.concatenate([_shift(self.num, -1.0), padding, _shift(self.den, -1.0), padding])
-        section: Array = row / row[3]
-        return section
+        return row / row[3]
 
 
 class LoopDesign(TypedDict):

@@ -17,12 +17,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
+from rigtool import errors
 from rigtool.control.position_loop import position_loop
 from rigtool.errors import InsufficientDataError
 from rigtool.numerics.arrays import Array
@@ -155,13 +156,9 @@ def _largest(values: Array) -> float:
     return float(max(values.max(initial=0.0), -values.min(initial=0.0)))
 
 
-@contextmanager
-def naming(recording: Recording) -> Iterator[None]:
+def naming(recording: Recording) -> AbstractContextManager[None]:
     """Name a recording in each `InsufficientDataError` that is raised within this context."""
-    try:
-        yield
-    except InsufficientDataError as error:
-        raise InsufficientDataError(f"recording {recording.name}: {error}") from None
+    return errors.naming(f"recording {recording.name}")
 
 
 def require_tracking(

@@ -63,8 +63,7 @@ def rising_crossings(time: Array, values: Array, level: float) -> Array:
     before = np.flatnonzero(below[:-1] & ~below[1:])
     low, high = values[before], values[before + 1]
     part = (level - low) / (high - low)
-    crossings: Array = time[before] + part * (time[before + 1] - time[before])
-    return crossings
+    return time[before] + part * (time[before + 1] - time[before])
 
 
 def at_positions(moves: Moves, signals: Array, position: Array, direction: int) -> Array:
@@ -84,5 +83,4 @@ def at_positions(moves: Moves, signals: Array, position: Array, direction: int) 
     place = np.interp(position, moves.setpoint[rising], np.arange(float(len(rising))))
     cell = np.minimum(place.astype(np.intp), len(rising) - 2)
     part = place - cell
-    found: Array = signals[..., rising[cell]] * (1 - part) + signals[..., rising[cell + 1]] * part
-    return found
+    return signals[..., rising[cell]] * (1 - part) + signals[..., rising[cell + 1]] * part

@@ -69,8 +69,7 @@ def kept_by_fit(design: Array, lowest: int, more: Array | None = None) -> Array:
         np.sum(cosine_transform(basis * column[:, None])[1 : lowest + 1] ** 2)
         for column in design.T
     ]
-    kept: Array = 1 - np.array(lost) / power
-    return kept
+    return 1 - np.array(lost) / power
 
 
 def independent_samples(residual: Array, used: Mask, lag: int) -> float:

@@ -45,14 +45,12 @@ def weights(count: int) -> Array:
     """Return the weights of `count` readings; their sum is 1."""
     number = np.arange(1.0, count + 1)
     parabola = number * (count + 1 - number)
-    weight: Array = parabola / parabola.sum()
-    return weight
+    return parabola / parabola.sum()
 
 
 def steady_mean(values: Array) -> Array:
     """Return the mean of repeats along the first axis, values (m, n) or (m,) to (n,) or ()."""
-    mean: Array = np.tensordot(weights(len(values)), values, axes=1)
-    return mean
+    return np.tensordot(weights(len(values)), values, axes=1)
 
 
 def steady_us(series: Sequence[Array]) -> list[tuple[float, float]]:
@@ -99,5 +97,4 @@ def steady_us(series: Sequence[Array]) -> list[tuple[float, float]]:
 def _sine_transform(values: Array) -> Array:
     """Return the orthonormal DST-I of values (n,): the transform of their odd continuation."""
     odd = np.concatenate([[0.0], values, [0.0], -values[::-1]])
-    transform: Array = -np.fft.rfft(odd).imag[1:-1] / math.sqrt(len(odd))
-    return transform
+    return -np.fft.rfft(odd).imag[1:-1] / math.sqrt(len(odd))

@@ -45,8 +45,7 @@ def render_pdf(page: str) -> bytes:
 
     # By default WeasyPrint identifies the file by the time.
     identifier = hashlib.sha256(page.encode()).digest()[:16]
-    found: bytes = weasyprint.HTML(string=page).write_pdf(pdf_identifier=identifier)
-    return found
+    return weasyprint.HTML(string=page).write_pdf(pdf_identifier=identifier)
 
 
 def _data_uri(svg: str) -> str:

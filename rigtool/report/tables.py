@@ -109,32 +109,23 @@ def three_times(run: Run, label: str) -> ReportTable:
     published = published_table(attachment_of(run) or "instrument")
     correction = correction_of(run)
     ways = {"none": run.table(UNCORRECTED_TABLE), correction: run.table("loads")}
-    columns = [
-        ReportColumn("applied_force", "Force", "mN", "N"),
-        ReportColumn("applied_torque", "Applied", "mN m", "N m"),
-        ReportColumn("mean_torque_published", "published", "mN m", "N m"),
-        ReportColumn("error_percent_published", "Error", "%", "%"),
+    common = ("applied_force", "applied_torque", "mean_torque_published", "error_percent_published")
+    read = {"mean_torque": None, "std_torque": "S", "error_percent": "Error"}
+    known = {column.key: column for column in _FORCE_COLUMNS}
+    columns = [*map(known.__getitem__, common[:-1]), replace(known[common[-1]], title="Error")]
+    columns += [
+        replace(known[key], key=f"{key}_{way}", title=title or way)
+        for way in ways
+        for key, title in read.items()
     ]
-    for way in ways:
-        columns += [
-            ReportColumn(f"mean_torque_{way}", way, "mN m", "N m", uncertain=True),
-            ReportColumn(f"std_torque_{way}", "S", "mN m", "N m"),
-            ReportColumn(f"error_percent_{way}", "Error", "%", "%"),
-        ]
     rows = []
-    for none, corrected in zip(*(records(table) for table in ways.values()), strict=True):
-        force, torque = corrected["applied_force"], corrected["applied_torque"]
-        if force <= 0:
-            continue
-        stated = published.row(force, torque) or {}
-        cells = [number_cell(force, ".4g"), number_cell(torque, ".4g")]
-        cells.append(number_cell(stated.get("mean_torque"), ".4g"))
-        cells.append(number_cell(stated.get("error_percent"), "+.0f", 1))
-        for load in (none, corrected):
-            cells.append(mean_cell(load["mean_torque"], load["mean_torque_u"]))
-            cells.append(number_cell(load["std_torque"], ".2f"))
-            cells.append(number_cell(load["error_percent"], "+.1f", 1))
-        rows.append(tuple(cells))
+    for loads in zip(*(records(table) for table in ways.values()), strict=True):
+        force, torque = (loads[-1][name] for name in ("applied_force", "applied_torque"))
+        if force > 0:
+            stated = published.row(force, torque)
+            cells = [dict(zip(known, _force_row(load, stated), strict=True)) for load in loads]
+            shown = [own[key] for own in cells for key in read]
+            rows.append((*(cells[-1][key] for key in common), *shown))
     return ReportTable(
         name=f"table-{published.number}-three-times-{label}",
         title=f"Table {published.number} three times: published, --correction none, "

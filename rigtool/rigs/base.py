@@ -66,8 +66,7 @@ class Feedforward:
 
     def model_torque(self, speed: Array, acceleration: Array) -> Array:
         """Return the torque (n,) of inertia and friction model, N m; rad/s and rad/s2 (n,)."""
-        torque: Array = model_torque(self.coefficients, speed, acceleration)
-        return torque
+        return model_torque(self.coefficients, speed, acceleration)
 
 
 @dataclass(frozen=True)
@@ -156,24 +155,18 @@ class Rig(Protocol):
     @property
     def position(self) -> float:
         """Angle of the shaft, rad."""
-        ...
 
     def perform(self, task: Task) -> Iterator[Block]:
         """Run a task and yield its signals in blocks; moves to the motion's start first."""
-        ...
 
     def move_by(self, angle: float) -> None:
         """Turn the shaft by an angle, rad, and come to rest; nothing is recorded."""
-        ...
 
     def clamp(self, angle: float) -> None:
         """Clamp the arm with the shaft at this angle, rad."""
-        ...
 
     def soak(self, temperature_degc: float) -> None:
         """Wait until the motor has this temperature throughout, degC."""
-        ...
 
     def power_cycle(self) -> None:
         """Switch the amplifier off and on: it calibrates itself again."""
-        ...

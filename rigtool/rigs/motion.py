@@ -97,19 +97,16 @@ class Motion(Protocol):
     @property
     def duration(self) -> float:
         """Length of the motion, s."""
-        ...
 
     @property
     def start(self) -> float | None:
         """Position at which it starts, rad; None where it starts from wherever the rotor is."""
-        ...
 
     def setpoint(self, time: Array) -> tuple[Array, Array, Array]:
         """Return position [rad], speed [rad/s] and acceleration [rad/s2] at these times [s].
 
         Positions count from `start`, or from the rotor's position where `start` is None.
         """
-        ...
 
 
 @dataclass(frozen=True)
@@ -149,6 +146,14 @@ class Triangle(Path):
     speed: float
     turn_angle: float
     cycles: int
+
+    @classmethod
+    def of_output(
+        cls, angle_deg: float, turn_deg: float, ratio: float, speed: float, cycles: int
+    ) -> Triangle:
+        """Move from 0 over angles of the output, deg; `ratio` is the motor's angle to that."""
+        high, turn = (math.radians(angle) * ratio for angle in (angle_deg, turn_deg))
+        return cls(0.0, high, speed, turn, cycles)
 
     @property
     def turn_time(self) -> float:

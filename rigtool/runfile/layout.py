@@ -15,7 +15,7 @@ import numpy as np
 
 from rigtool.quantity import Quantity
 from rigtool.runfile import provenance, schema
-from rigtool.runfile.model import Column, RecordingSpec, Table
+from rigtool.runfile.model import RecordingSpec, Table
 from rigtool.runfile.objects import make_array, make_group, make_number, make_text, set_attribute
 
 
@@ -124,17 +124,15 @@ def _write_table(parent: h5py.Group, name: str, table: Table) -> None:
     _describe_plot(group, table.axes, table.signal, same_shape)
     if table.description:
         set_attribute(group, "long_name", table.description)
-    datasets = {key: _write_column(group, key, column) for key, column in table.columns.items()}
+    datasets = {}
+    for key, column in table.columns.items():
+        values = column.values
+        chunks = _chunks(values.shape) if values.size else None
+        dataset = datasets[key] = make_array(group, key, values, chunks)
+        set_attribute(dataset, "units", column.unit)
+        if column.description:
+            set_attribute(dataset, "long_name", column.description)
     _attach_axes(datasets, table.axes)
-
-
-def _write_column(group: h5py.Group, name: str, column: Column) -> Any:
-    values = column.values
-    dataset = make_array(group, name, values, _chunks(values.shape) if values.size else None)
-    set_attribute(dataset, "units", column.unit)
-    if column.description:
-        set_attribute(dataset, "long_name", column.description)
-    return dataset
 
 
 def _chunks(shape: tuple[int, ...]) -> tuple[int, ...]:

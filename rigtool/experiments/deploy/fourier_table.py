@@ -41,8 +41,7 @@ class FourierSeries:
     def at(self, angle: Array) -> Array:
         """Return the series at angles (n,), rad."""
         turned = np.multiply.outer(angle, self.order) + self.phase
-        values: Array = np.cos(turned) @ self.amplitude
-        return values
+        return np.cos(turned) @ self.amplitude
 
 
 def fourier_series(turn: PositionMap, band: int | None) -> FourierSeries:

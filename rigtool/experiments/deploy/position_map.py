@@ -48,6 +48,15 @@ class PositionMap:
         found += self.values[(cell + 1) % count] * part
         return found
 
+    def remarks(self, unit: str) -> list[str]:
+        """Return what a drive's map leaves out of the table, and what it holds too much."""
+        found = []
+        if self.mean:
+            found.append(f"the mean over the turn, {self.mean:.4g} {unit}, is left out")
+        if not self.both_directions:
+            found.append("one direction alone: friction that varies with position is in the map")
+        return found
+
     def scaled(self, factor: float) -> PositionMap:
         """Return the map in another unit, `factor` times as large."""
         return replace(

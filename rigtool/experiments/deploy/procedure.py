@@ -134,12 +134,7 @@ def _map(
             f"{tables.path}: takes up to {peak:.4g} A, beyond serial.limits.current = "
             f"{limit:g} A: a table of cogging is far smaller; check how it was learned"
         )
-    remarks = []
-    if turn.mean:
-        remarks.append(f"the mean over the turn, {turn.mean:.4g} A, is left out")
-    if not turn.both_directions:
-        remarks.append("one direction alone: friction that varies with position is in the map")
-    return turn, remarks + learned.friction_lines()
+    return turn, turn.remarks("A") + learned.friction_lines()
 
 
 def _ripple_remark(tables: Run, speed: float) -> str:
@@ -169,8 +164,7 @@ def _ripple(waveforms: Array) -> float:
 
 
 def _line_facts(run: Run) -> dict[str, Any]:
-    facts: dict[str, Any] = json.loads(run.provenance.get("line") or "{}")
-    return facts
+    return json.loads(run.provenance.get("line") or "{}")
 
 
 def _origin_remarks(tables: Run, recipe: Recipe) -> list[str]:

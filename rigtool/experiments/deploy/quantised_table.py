@@ -49,8 +49,7 @@ class Quantised:
     @property
     def values(self) -> Array:
         """Values of the codes."""
-        values: Array = self.codes.astype(np.float64) * self.scale
-        return values
+        return self.codes.astype(np.float64) * self.scale
 
 
 def quantise(values: Array, largest_code: int, step: float = 0.0) -> Quantised:
@@ -83,8 +82,7 @@ class Nodes:
 
     def rows(self, torque: Array) -> Array:
         """Return the rows (m, n) of a table (rows, n) written out."""
-        written: Array = self.factor[:, None] * torque[self.row]
-        return written
+        return self.factor[:, None] * torque[self.row]
 
 
 def nodes(table: LookupTable) -> Nodes:
@@ -137,5 +135,4 @@ def held_values(turn: PositionMap, count: int) -> tuple[NDArray[np.float32], Los
 
 def _angles(count: int, first: float) -> Array:
     """Return equal steps of a turn, rad, beginning at `first` of a step."""
-    angles: Array = (np.arange(float(count)) + first) * (TURN / count)
-    return angles
+    return (np.arange(float(count)) + first) * (TURN / count)

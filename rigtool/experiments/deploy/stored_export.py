@@ -34,6 +34,9 @@ EXPORT_FORMATS: Mapping[str, tuple[str, ...]] = {
 """Formats of a learned table, and the endings of their files; the first format of an ending is what
 it means by itself."""
 
+DRIVE_UNITS = {"moteus": "A", "odrive": "N m"}
+"""Units in which drives take a map; other formats have the table's own."""
+
 MAP_FORMATS = ("moteus", "odrive", "fourier")
 """Formats that hold the turn at one speed."""
 
@@ -85,11 +88,7 @@ def export_table(
     if wanted in MAP_FORMATS:
         turn = in_unit(position_map(learned.table, learned.u, speed), learned, wanted, kt)
         contents, lost = _map_text(learned, turn, wanted, output)
-        if turn.mean:
-            unit = "A" if wanted == "moteus" else "N m" if wanted == "odrive" else learned.unit
-            remarks.append(f"the mean over the turn, {turn.mean:.4g} {unit}, is left out")
-        if not turn.both_directions:
-            remarks.append("one direction alone: friction that varies with position is in the map")
+        remarks += turn.remarks(DRIVE_UNITS.get(wanted, learned.unit))
     else:
         for option, value in (("--speed", speed), ("--kt", kt)):
             if value is not None:
@@ -108,7 +107,7 @@ def in_unit(turn: PositionMap, learned: LearnedTable, wanted: str, kt: Run | Non
 
     Raises `UsageError` where the calibration for that is missing, or does not apply.
     """
-    needed = {"moteus": "A", "odrive": "N m"}.get(wanted, learned.unit)
+    needed = DRIVE_UNITS.get(wanted, learned.unit)
     if needed == learned.unit:
         if kt is not None:
             raise UsageError(f"--kt: {wanted} takes the table's own unit, {needed}; leave it out")

@@ -110,13 +110,8 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run, tables: R
 def strokes(recipe: Recipe, cycles: int) -> Triangle:
     """Return the motion that lifts and lowers a load."""
     settings, ratio = recipe.measure_force, recipe.rig.angle_ratio
-    return Triangle(
-        low=0.0,
-        high=math.radians(settings.angle) * ratio,
-        speed=2 * math.pi * settings.speed_rev_per_s * ratio,
-        turn_angle=math.radians(settings.turn_angle) * ratio,
-        cycles=cycles,
-    )
+    speed = 2 * math.pi * settings.speed_rev_per_s * ratio
+    return Triangle.of_output(settings.angle, settings.turn_angle, ratio, speed, cycles)
 
 
 # -- analysing

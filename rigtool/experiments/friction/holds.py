@@ -88,8 +88,7 @@ class Holds:
     @property
     def steady(self) -> Mask:
         """Which holds turn evenly enough for their torque to belong to their speed, (n,)."""
-        steady: Mask = (self.shaking <= SHAKING_LIMIT) & (self.uneven <= UNEVEN_LIMIT)
-        return steady
+        return (self.shaking <= SHAKING_LIMIT) & (self.uneven <= UNEVEN_LIMIT)
 
     def __getitem__(self, chosen: Mask | NDArray[np.intp]) -> Holds:
         return Holds(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))

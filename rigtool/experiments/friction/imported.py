@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rigtool.errors import InsufficientDataError, UsageError
+from rigtool.errors import InsufficientDataError, UsageError, naming
 from rigtool.experiments.friction.holds import MIN_SAMPLES, find_holds
 from rigtool.experiments.friction.imported_motion import add_dynamics, add_inertia
 from rigtool.experiments.friction.imported_pairs import add_changes
@@ -187,7 +187,7 @@ def _add_holds(
         asked = None
         if recording.has("position_setpoint"):
             asked = recording.read("position_setpoint")
-        try:
+        with naming(place(recording)):
             parts += [
                 find_holds(
                     time=time[a:b],
@@ -199,8 +199,6 @@ def _add_holds(
                 )
                 for a, b in held
             ]
-        except InsufficientDataError as error:
-            raise InsufficientDataError(f"{place(recording)}: {error}") from None
     fits, holds, notes = fit_holds(parts)
     found.notes += notes
     if inertia is None:
@@ -240,17 +238,11 @@ def _add_inertia(
 
 
 def _motions(recordings: Sequence[Recording], efforts: Sequence[Effort]) -> list[SmoothedMotion]:
-    motions: list[SmoothedMotion] = []
+    motions = []
     for recording, effort in zip(recordings, efforts, strict=True):
-        try:
-            motion = band_limit(
-                time=recording.read("time"),
-                position=position_of(recording),
-                torque=effort.values,
-            )
-        except InsufficientDataError as error:
-            raise InsufficientDataError(f"{place(recording)}: {error}") from None
-        motions.append(motion)
+        time, position = recording.read("time"), position_of(recording)
+        with naming(place(recording)):
+            motions.append(band_limit(time=time, position=position, torque=effort.values))
     return motions
 
 

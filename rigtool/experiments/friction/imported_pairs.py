@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rigtool.errors import InsufficientDataError, UsageError
+from rigtool.errors import UsageError, naming
 from rigtool.experiments.friction.paired import MotionSignals, ParameterChange, changes, ratio
 from rigtool.experiments.friction.results import Findings
 from rigtool.experiments.friction.results_difference import RATIO_RESULT
@@ -50,12 +50,10 @@ def add_changes(
             "point: give one"
         )
     others = [recordings[0], *([] if reference is None else [reference])]
-    try:
+    with naming(place(recordings[0])):
         all_changes = changes(
             _signals(against, kt, found), [_signals(other, kt, found) for other in others]
         )
-    except InsufficientDataError as error:
-        raise InsufficientDataError(f"{place(recordings[0])}: {error}") from None
     change = all_changes[0]
     for term, (name, unit) in TERM_RESULTS.items():
         if (estimate := change.estimate(term)) is not None:

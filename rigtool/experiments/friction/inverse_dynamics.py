@@ -126,8 +126,7 @@ class Dynamics:
     def torque(self, motion: SmoothedMotion) -> Array:
         """Return the model's torque for each row of a motion, (n,)."""
         # An inertia that is not resolved is no part of the model, a delay is none of its rows.
-        torque: Array = motion.design[:, :DELAY] @ np.nan_to_num(self.parameters[:DELAY])
-        return torque
+        return motion.design[:, :DELAY] @ np.nan_to_num(self.parameters[:DELAY])
 
 
 # -- fit

@@ -158,5 +158,4 @@ def _unmodelled(
     k = len(height)
     square = float(height @ np.linalg.solve(scatter[-k:, -k:], height))
     chance = CHANCE_LEVEL**2 * k / max(square, 1e-300)
-    doubt: Array = np.abs(change) * math.sqrt(max(0.0, 1 - chance))
-    return doubt
+    return np.abs(change) * math.sqrt(max(0.0, 1 - chance))

@@ -102,8 +102,7 @@ class SmoothedMotion:
     def slow(self, count: int) -> Array:
         """Return the `count` slowest cosines over the recording but the constant, (n, count)."""
         phase = np.pi * (np.arange(len(self.torque)) + 0.5) / len(self.torque)
-        cosines: Array = np.cos(np.multiply.outer(phase, np.arange(1, count + 1)))
-        return cosines
+        return np.cos(np.multiply.outer(phase, np.arange(1, count + 1)))
 
     def rows(self) -> tuple[Array, Array]:
         """Return design (n, 5 or 6) and torque (n,) without what the slow cosines explain.

@@ -237,8 +237,7 @@ def _scaled(covariance: Array, gram: Array, loss: Array) -> Array:
     """Return a covariance (p, p) of which the moments lost a part: `gram` is X'X (p, p)."""
     inverse = np.linalg.inv(gram)
     spread = gram @ covariance @ gram / np.outer(loss, loss)
-    scaled: Array = inverse @ spread @ inverse
-    return scaled
+    return inverse @ spread @ inverse
 
 
 def _doubt(position: Array, speed: Array, residual: Array, design: Array, used: Mask) -> Array:
@@ -247,8 +246,7 @@ def _doubt(position: Array, speed: Array, residual: Array, design: Array, used: 
     times = np.arange(len(used)) * TIME_PARTS // len(used)
     kept = residual[used], design[used], times[used]
     by_position, by_speed = (structure(over[used], *kept)[1] for over in (position, speed))
-    found: Array = np.hypot(by_position, by_speed)
-    return found
+    return np.hypot(by_position, by_speed)
 
 
 def _separated(design: Array) -> list[int]:

@@ -93,7 +93,7 @@ def analyse(
     """
     require_stable_loop(recipe)
     recordings = {
-        name: [run.recording(name) for run in runs if _has(run, name)]
+        name: [one for run in runs if (one := run.recordings.get(name)) is not None and one.size]
         for name in (HOLD_RECORDING, *SWEEP_RECORDINGS, BREAKAWAY, BREAKAWAY_LOADED, HOLDS_LOADED)
     }
     everything = [recording for parts in recordings.values() for recording in parts]
@@ -147,10 +147,6 @@ def analyse(
     if "sweep_viscous" in curves:
         add_flatness(curves["sweep_viscous"], found)
     return Outcome(found.results, found.tables, tuple(found.notes))
-
-
-def _has(run: Run, name: str) -> bool:
-    return name in run.recordings and run.recordings[name].size > 0
 
 
 # -- holds and sweeps

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rigtool.errors import InsufficientDataError, UsageError
+from rigtool.errors import InsufficientDataError, UsageError, naming
 from rigtool.experiments.friction.results import Findings
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
@@ -81,10 +81,8 @@ def add_curve_difference(
     )
     if reference is not None:
         others = [_other(run, unit) for run in (against, reference)]
-        try:
+        with naming(reference.path):
             found.results[RATIO_RESULT] = _ratio(mine, *others)
-        except InsufficientDataError as error:
-            raise InsufficientDataError(f"{reference.path}: {error}") from None
 
 
 def _ratio(mine: _Curve, base: _Curve, other: _Curve) -> Quantity:

@@ -86,8 +86,7 @@ class DirectionFit:
 
     def level(self, speed: Array) -> Array:
         """Return f without its viscous part at speeds >= 0."""
-        level: Array = self.evaluate(speed) - self.parameters[1] * speed
-        return level
+        return self.evaluate(speed) - self.parameters[1] * speed
 
     @property
     def static(self) -> tuple[float, float] | None:

@@ -92,8 +92,7 @@ class ShaftPath:
 
     def thin(self, fine: Array) -> Array:
         """Return signals (..., m) low-passed, at the rows (..., n)."""
-        thinned: Array = lowpass(self.rate, fine, self.bandwidth_hz)[..., self.rows]
-        return thinned
+        return lowpass(self.rate, fine, self.bandwidth_hz)[..., self.rows]
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,8 +144,7 @@ class Scales:
 def block_means(values: Array, size: int) -> Array:
     """Return means of `size` samples each of values (n,): a first, coarse low-pass."""
     count = len(values) // size
-    means: Array = values[: count * size].reshape(count, size).mean(axis=1)
-    return means
+    return values[: count * size].reshape(count, size).mean(axis=1)
 
 
 def path_of(
@@ -238,8 +236,7 @@ def splines(place: Array, count: int) -> Array:
     from scipy.interpolate import BSpline
 
     knots = np.concatenate([np.zeros(3), np.linspace(0, 1, count - 2), np.ones(3)])
-    matrix: Array = BSpline.design_matrix(np.clip(place, 0, 1), knots, 3).toarray()
-    return matrix
+    return BSpline.design_matrix(np.clip(place, 0, 1), knots, 3).toarray()
 
 
 def motion_functions(
@@ -340,5 +337,4 @@ def _since_reversal(path: ShaftPath, scales: Scales) -> Array:
     latest = np.searchsorted(known, np.arange(len(place)), side="right") - 1
     way = np.abs(place - start[known[np.maximum(latest, 0)]])
     way[latest < 0] = math.inf  # what was before the recording is not known: as if long ago
-    decay: Array = np.exp(-way / lengths)
-    return decay
+    return np.exp(-way / lengths)

@@ -34,8 +34,6 @@ def analyse_imported(
     runs: Sequence[Run],
     *,
     kt: Run | None = None,
-    friction: Run | None = None,
-    plant: Run | None = None,
     prior: Run | None = None,
     bandwidth_hz: float = MeasureForce().lowpass_hz,
 ) -> Outcome:
@@ -43,11 +41,8 @@ def analyse_imported(
 
     `prior` holds the tables of another mounting of the instrument. Raises `RunFileError` for runs
     without a reference torque, `InsufficientDataError` where they do not show how effort grows with
-    load, `UsageError` for options of the bench's own rig and a prior of other signals.
+    load, `UsageError` for a prior of other signals.
     """
-    for name, given in (("friction", friction), ("plant", plant)):
-        if given is not None:
-            raise UsageError(f"--{name}: is of the bench's own rig, imported runs do without")
     recordings = recordings_of(runs)
     for recording in recordings:
         if not recording.has(REFERENCE_CHANNEL):

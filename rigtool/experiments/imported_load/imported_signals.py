@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rigtool.errors import InsufficientDataError, UsageError
+from rigtool.errors import UsageError, naming
 from rigtool.experiments.imported import place as named
 from rigtool.experiments.imported import position_of, recordings_of, require_one_rig
 from rigtool.experiments.imported_load.basis import LoadSignals, path_of
@@ -58,7 +58,7 @@ def _read(recording: Recording, kt: Run | None, bandwidth_hz: float) -> LoadSign
     place = recording.read("reference_position") if has_place else output
     time = recording.read("time")
     sensor = [recording.read(REFERENCE_CHANNEL)] if recording.has(REFERENCE_CHANNEL) else []
-    try:
+    with naming(named(recording)):
         limited = at_limit(effort.values).astype(np.float64)
         path, (values, limited, output, place, *reference) = path_of(
             time,
@@ -70,8 +70,6 @@ def _read(recording: Recording, kt: Run | None, bandwidth_hz: float) -> LoadSign
             place,
             *sensor,
         )
-    except InsufficientDataError as error:
-        raise InsufficientDataError(f"{named(recording)}: {error}") from None
     path = replace(path, regular=path.regular & (np.abs(limited) < LIMITED_SHARE))
     # As the motor's sign, so that one direction has one sign everywhere
     speed = np.gradient(output, path.time)

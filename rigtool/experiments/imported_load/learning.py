@@ -232,8 +232,7 @@ def _turns(level: Numbers) -> Numbers:
     """Return which recordings (r,) are left out together: one of each level at most, and of other
     speeds where levels were recorded at the same speeds in turn."""
     rank = np.array([np.sum(level[:n] == own) for n, own in enumerate(level)])
-    turns: Numbers = (rank + level) % min(MAX_FOLDS, int(rank.max()) + 1)
-    return turns
+    return (rank + level) % min(MAX_FOLDS, int(rank.max()) + 1)
 
 
 def _scales_as(prior: LoadModel, scales: Scales) -> Scales:
@@ -296,8 +295,7 @@ def _friction(
 
     def share(slope: Array) -> Array:
         resisting, driving = (cell_means(place, slope, rows) for rows in (against, ~against))
-        mu: Array = (resisting - driving) / (resisting + driving)
-        return mu
+        return (resisting - driving) / (resisting + driving)
 
     mu = share(slope)
     without = np.stack([share(part) for part in each])
@@ -329,8 +327,7 @@ def _strokes(signals: Sequence[LoadSignals]) -> tuple[Array, Numbers]:
 def _inner(numbers: Numbers) -> Numbers:
     """Return numbers (n,) of conditions in order, -1 for the first and the last of them: what is
     beyond the others is outside what was learned."""
-    inner: Numbers = np.where((numbers == 0) | (numbers == numbers.max()), -1, numbers)
-    return inner
+    return np.where((numbers == 0) | (numbers == numbers.max()), -1, numbers)
 
 
 def _folds(numbers: Numbers) -> tuple[Numbers, int]:

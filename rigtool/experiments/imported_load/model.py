@@ -78,8 +78,7 @@ class TorqueEstimate:
     @property
     def inside(self) -> Mask:
         """Rows with a value while moving."""
-        found: Mask = (self.states == State.AGAINST) | (self.states == State.WITH)
-        return found
+        return (self.states == State.AGAINST) | (self.states == State.WITH)
 
     @property
     def moving(self) -> Array:
@@ -113,8 +112,7 @@ class Side:
 
     def factor(self, torque: Array) -> Array:
         """Return the factor on uncertainties at torques (n,)."""
-        found: Array = np.interp(torque, self.levels, self.factors)
-        return found
+        return np.interp(torque, self.levels, self.factors)
 
     def design(self, functions: Mapping[str, Array]) -> DesignMatrix:
         """Return the functions in use."""
@@ -156,8 +154,7 @@ class LoadModel:
 
     def place(self, path: ShaftPath) -> Array:
         """Return the position (n,) as part of the learned stroke."""
-        found: Array = (path.position - self.scales.low) / (self.scales.high - self.scales.low)
-        return found
+        return (path.position - self.scales.low) / (self.scales.high - self.scales.low)
 
     def elsewhere(self, path: ShaftPath) -> bool:
         """Return whether strokes are at a place of which none was learned."""
@@ -259,8 +256,7 @@ class DesignMatrix:
     def polynomial(self, weights: Array) -> Array:
         """Return the effort's parts by power of the torque, (powers, n)."""
         powers = np.arange(HIGHEST_POWER + 1)[:, None]
-        parts: Array = np.where(self.power == powers, weights, 0.0) @ self.columns.T
-        return parts
+        return np.where(self.power == powers, weights, 0.0) @ self.columns.T
 
     def solve(
         self, weights: Array, effort: Array, torque_range: tuple[float, float]
@@ -316,5 +312,4 @@ def scatter_rows(speed: Array, torque: Array) -> Array:
 def scatter_variance(scatter: Array, speed: Array, torque: Array) -> Array:
     """Return the variance (n,) that scatter alone makes."""
     # Beyond what was learned the logarithm of the variance must not run away.
-    variance: Array = np.exp(np.minimum(scatter_rows(speed, np.nan_to_num(torque)) @ scatter, 50.0))
-    return variance
+    return np.exp(np.minimum(scatter_rows(speed, np.nan_to_num(torque)) @ scatter, 50.0))

@@ -84,8 +84,7 @@ def learned_noise(noises: Sequence[EffortNoise]) -> LearnedNoise:
 
 
 def _edges(bandwidth_hz: float) -> Array:
-    edges: Array = bandwidth_hz * np.exp2(np.arange(1.0, OCTAVES + 2))
-    return edges
+    return bandwidth_hz * np.exp2(np.arange(1.0, OCTAVES + 2))
 
 
 def noise_of(effort: Array, rate: float, bandwidth_hz: float) -> EffortNoise:

@@ -46,25 +46,22 @@ class Region:
         """Return which points (n,) are at learned places and speeds."""
         side, cell = (speed < 0).astype(int), cells_of(place)
         magnitude = np.abs(speed)
-        inside: Mask = (
+        return (
             reached(place)
             & (magnitude >= self.slowest[side, cell])
             & (magnitude <= self.fastest[side, cell])
         )
-        return inside
 
     def holds(self, place: Array, speed: Array, torque: Array) -> Mask:
         """Return which points (n,) are inside; NaN is outside."""
         side, cell = (speed < 0).astype(int), cells_of(place)
         within = (torque >= self.lowest[side, cell]) & (torque <= self.highest[side, cell])
-        inside: Mask = self.moves(place, speed) & within
-        return inside
+        return self.moves(place, speed) & within
 
 
 def reached(place: Array) -> Mask:
     """Return which places (n,) are on the learned stroke."""
-    found: Mask = (place >= -POSITION_SLACK) & (place <= 1 + POSITION_SLACK)
-    return found
+    return (place >= -POSITION_SLACK) & (place <= 1 + POSITION_SLACK)
 
 
 def of_known_strokes(
@@ -76,8 +73,7 @@ def of_known_strokes(
     """
     stroke = np.cumsum(np.diff(direction, prepend=direction[:1]) != 0)
     inside, every = (np.bincount(stroke, rows) for rows in (known & moving, moving))
-    found: Mask = known & (inside >= share * every)[stroke]
-    return found
+    return known & (inside >= share * every)[stroke]
 
 
 def beside_known(known: Mask, direction: Array) -> Mask:
@@ -85,16 +81,14 @@ def beside_known(known: Mask, direction: Array) -> Mask:
     the `direction` (n,) may be zero."""
     stroke = np.cumsum(np.diff(direction, prepend=direction[:1]) != 0)
     near = np.convolve(np.bincount(stroke, known) > 0, np.ones(5))[2:-2] > 0
-    found: Mask = near[stroke]
-    return found
+    return near[stroke]
 
 
 def cells_of(place: Array) -> NDArray[np.intp]:
     """Return the cell (n,) of each place on the stroke."""
-    found: NDArray[np.intp] = np.clip(
-        np.floor(np.nan_to_num(place) * STROKE_CELLS), 0, STROKE_CELLS - 1
-    ).astype(np.intp)
-    return found
+    return np.clip(np.floor(np.nan_to_num(place) * STROKE_CELLS), 0, STROKE_CELLS - 1).astype(
+        np.intp
+    )
 
 
 def cell_means(place: Array, values: Array, rows: Mask, fewest: int = 1) -> Array:
@@ -102,8 +96,7 @@ def cell_means(place: Array, values: Array, rows: Mask, fewest: int = 1) -> Arra
     cell = cells_of(place[rows])
     count = np.bincount(cell, minlength=STROKE_CELLS)
     total = np.bincount(cell, weights=values[rows], minlength=STROKE_CELLS)
-    means: Array = np.where(count >= fewest, total / np.maximum(count, 1), np.nan)
-    return means
+    return np.where(count >= fewest, total / np.maximum(count, 1), np.nan)
 
 
 def learn_region(place: Array, speed: Array, torque: Array, margins: Array) -> Region:

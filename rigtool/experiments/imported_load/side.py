@@ -302,20 +302,17 @@ class Sums:
 
         factor = cho_factor(self._matrix(keep), check_finite=False)
         right = self.right[keep].sum(axis=0)
-        found: Array = self.centre + cho_solve(factor, right, check_finite=False)
-        return found
+        return self.centre + cho_solve(factor, right, check_finite=False)
 
     def covariance(self, keep: Numbers, coefficients: Array) -> Array:
         """Return the covariance (k, k) of coefficients whose recordings disagree."""
         scores = self.right[keep] - self.normal[keep] @ (coefficients - self.centre)
         half = np.linalg.solve(self._matrix(keep), scores.T)
         used = int(np.count_nonzero(self.rows[keep]))
-        covariance: Array = half @ half.T * (used / max(used - 1, 1))
-        return covariance
+        return half @ half.T * (used / max(used - 1, 1))
 
     def _matrix(self, keep: Numbers) -> Array:
-        matrix: Array = self.normal[keep].sum(axis=0) + self.rows[keep].sum() * self.penalty
-        return matrix
+        return self.normal[keep].sum(axis=0) + self.rows[keep].sum() * self.penalty
 
 
 def penalty_of(names: Sequence[str], size: Array) -> Array:

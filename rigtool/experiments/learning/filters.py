@@ -38,11 +38,9 @@ class Inverse(Protocol):
     @property
     def advance(self) -> int:
         """Samples by which L is advanced in time."""
-        ...
 
     def response(self, frequency: Array, *, shifted: bool = True) -> ComplexArray:
         """Return L (n,) at these frequencies, Hz; without `advance` where not `shifted`."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +123,7 @@ def robustness_gain(frequency: Array, *, cutoff_hz: float, order: int, sample_ti
     angle = np.minimum(np.abs(np.asarray(frequency, dtype=np.float64)) * sample_time, 0.5) * np.pi
     ratio = np.tan(angle) / np.tan(np.pi * cutoff_hz * sample_time)
     # Above 1e30 the gain is zero for any purpose, and the power would overflow.
-    gain: Array = 1 / (1 + np.minimum(ratio, 1e30 ** (1 / order)) ** (2 * order))
-    return gain
+    return 1 / (1 + np.minimum(ratio, 1e30 ** (1 / order)) ** (2 * order))
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,8 +182,7 @@ class Learning:
             )
         frequency = np.fft.rfftfreq(count, period / count)
         spectrum = np.fft.rfft(cycles, axis=-1) * response(frequency)
-        filtered: Array = np.fft.irfft(spectrum, count, axis=-1)
-        return filtered
+        return np.fft.irfft(spectrum, count, axis=-1)
 
 
 @dataclass(frozen=True, eq=False)

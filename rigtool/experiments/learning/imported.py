@@ -44,21 +44,12 @@ MAP_POSITIONS = 2000
 """Positions of a learned map: twenty to a cycle of the highest order."""
 
 
-def analyse_imported(
-    runs: Sequence[Run],
-    *,
-    kt: Run | None = None,
-    friction: Run | None = None,
-    plant: Run | None = None,
-) -> Outcome:
+def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
     """Learn a map of the turn from runs under one condition; a row for each speed.
 
     Raises `UsageError` for runs under several conditions, `InsufficientDataError` where no turn is
     repeated or nothing exceeds the scatter.
     """
-    for name, given in (("friction", friction), ("plant", plant)):
-        if given is not None:
-            raise UsageError(f"--{name}: is of the bench's own rig, imported runs do without")
     if all(MAP in run.tables for run in runs):
         return _learn_maps(runs)
     recordings = rotary_recordings(runs, "that has no turns to learn")
@@ -140,8 +131,7 @@ class _Row:
     def at(self, position: Array) -> Array:
         """Return mean and orders at positions (n,), rad."""
         angles = np.multiply.outer(position, self.orders.order) + self.orders.phase
-        values: Array = self.mean + np.cos(angles) @ self.orders.amplitude
-        return values
+        return self.mean + np.cos(angles) @ self.orders.amplitude
 
     @property
     def u(self) -> float:
@@ -171,8 +161,7 @@ def _steadied(floor: Array) -> Array:
     window = np.ones(2 * NEIGHBOURING_ORDERS + 1)
     here = slice(NEIGHBOURING_ORDERS, NEIGHBOURING_ORDERS + floor.size)
     around = (np.convolve(floor**2, window) / np.convolve(floor**0, window))[here]
-    steadied: Array = np.maximum(floor, np.sqrt(around))
-    return steadied
+    return np.maximum(floor, np.sqrt(around))
 
 
 def _learn(group: RepeatedRuns) -> _Row:

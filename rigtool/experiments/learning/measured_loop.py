@@ -39,8 +39,7 @@ class MeasuredLoop:
 
     @property
     def _ratio(self) -> ComplexArray:
-        ratio: ComplexArray = self.response / self.loop.plant.response(self.frequency)
-        return ratio
+        return self.response / self.loop.plant.response(self.frequency)
 
     def ratio(self, frequency: Array) -> ComplexArray:
         """Return plant over model (n,) at these frequencies, Hz."""
@@ -48,8 +47,7 @@ class MeasuredLoop:
         found = self._ratio
         magnitude = np.interp(at, known, np.log(np.abs(found)))
         phase = np.interp(at, known, np.unwrap(np.angle(found)))
-        ratio: ComplexArray = np.exp(magnitude + 1j * phase)
-        return ratio
+        return np.exp(magnitude + 1j * phase)
 
     def relative_radius(self, frequency: Array) -> Array:
         """Return d (n,): how far the plant may be from `ratio` times the model, relative."""
@@ -57,8 +55,7 @@ class MeasuredLoop:
         beyond = self.radius[-1] + np.abs(self._ratio[-1] - 1)
         square = np.square(np.asarray(frequency) / self.frequency[-1])
         inside = np.interp(at, known, self.radius)
-        radius: Array = np.where(at > known[-1], beyond * square, inside)
-        return radius
+        return np.where(at > known[-1], beyond * square, inside)
 
     def complementary_sensitivity(self, frequency: Array) -> ComplexArray:
         """Return T (n,) at these frequencies, Hz."""

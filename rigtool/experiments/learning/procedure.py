@@ -40,10 +40,7 @@ IMPLEMENTATIONS = {
 def implementation_of(name: str) -> type[Implementation[Any]]:
     """Return one of `IMPLEMENTATIONS`."""
     module, kind = IMPLEMENTATIONS[name]
-    found: type[Implementation[Any]] = getattr(
-        import_module(f"rigtool.experiments.learning.implementations.{module}"), kind
-    )
-    return found
+    return getattr(import_module(f"rigtool.experiments.learning.implementations.{module}"), kind)
 
 
 def asked(options: CommonOptions, name: str | None, *, validate: bool) -> CommonOptions:
@@ -110,16 +107,19 @@ def analyse(
     )
 
 
-def _analyse_imported(runs: Sequence[Run], **inputs: Any) -> Outcome:
-    from rigtool.experiments.learning.imported import analyse_imported
-
-    return analyse_imported(runs, **inputs)
-
-
-def _analyse_imported_loads(runs: Sequence[Run], **inputs: Any) -> Outcome:
-    from rigtool.experiments.imported_load.imported import analyse_imported
-
-    return analyse_imported(runs, **inputs)
+def _analyse_imported(
+    room: str,
+    runs: Sequence[Run],
+    *,
+    friction: Run | None = None,
+    plant: Run | None = None,
+    **inputs: Any,
+) -> Outcome:
+    """Learn from imported runs; raises `UsageError` for options of the bench's own rig."""
+    for name, given in (("friction", friction), ("plant", plant)):
+        if given is not None:
+            raise UsageError(f"--{name}: is of the bench's own rig, imported runs do without")
+    return import_module(f"rigtool.experiments.{room}.imported").analyse_imported(runs, **inputs)
 
 
 PROCEDURE = Procedure(
@@ -128,7 +128,7 @@ PROCEDURE = Procedure(
     measure,
     analyse,
     needed=("kt",),
-    analyse_imported=_analyse_imported,
+    analyse_imported=partial(_analyse_imported, "learning"),
     rig_needs=rig_needs,
     analysis_settings=(
         "ilc_learn.robustness_hz",
@@ -154,7 +154,8 @@ def of_stored(name: str | None) -> Procedure:
     if name != "D":
         return procedure
     settings = {"measure_force.lowpass_hz": "bandwidth_hz"}
-    return replace(procedure, analyse_imported=_analyse_imported_loads, imported_settings=settings)
+    loads = partial(_analyse_imported, "imported_load")
+    return replace(procedure, analyse_imported=loads, imported_settings=settings)
 
 
 def _analyse_named(name: str, runs: Sequence[Run], recipe: Recipe, **inputs: Run | None) -> Outcome:

@@ -11,7 +11,6 @@ from rigtool.control.position_loop import Loop, TransferFunction, position_loop
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.learning.filters import Convergence, Inverse, Learning, convergence, zpetc
 from rigtool.experiments.learning.measured_loop import InverseResponse, MeasuredLoop
-from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Run, Table
@@ -60,10 +59,6 @@ class FilterDesign:
             )
         return results
 
-    def notes(self) -> tuple[str, ...]:
-        """State the source of T, and the form of L."""
-        return self.origin
-
     def tables(self) -> dict[str, Table]:
         """Return the criterion and the transfer functions over frequency."""
         frequency = self.criterion.frequency
@@ -89,7 +84,10 @@ class FilterDesign:
         transfer = {
             "t_magnitude": Column(np.abs(loop), "1", "complementary sensitivity"),
             "l_magnitude": Column(np.abs(inverse), "1", "learning filter"),
-            **{name: Column(_phase(h), "rad", what) for name, (h, what) in phases.items()},
+            **{
+                name: Column(np.unwrap(np.angle(h)), "rad", what)
+                for name, (h, what) in phases.items()
+            },
         }
         return {
             "convergence": Table(
@@ -233,8 +231,3 @@ def _origin(recipe: Recipe, plant: Run | None, learning: Learning) -> tuple[str,
             "Hz, and falls to zero within an octave above"
         )
     return tuple(notes)
-
-
-def _phase(response: ComplexArray) -> Array:
-    phase: Array = np.unwrap(np.angle(response))
-    return phase

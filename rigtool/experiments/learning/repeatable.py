@@ -51,8 +51,7 @@ class Repeatability:
         ranked = np.sort(p[tested])
         below = ranked <= MAX_CHANCE_PART * np.arange(1, ranked.size + 1) / max(ranked.size, 1)
         limit = ranked[below].max(initial=-1.0)
-        kept: Mask = tested & (p <= limit)
-        return kept
+        return tested & (p <= limit)
 
     def ratio(self) -> float:
         """Power that repeats over the power that chance would explain; about 1 for noise alone."""
@@ -101,5 +100,4 @@ def only_kept(cycles: Array, kept: Mask) -> Array:
     """Return cycles (..., n) of only those orders that are `kept` (n/2 + 1,)."""
     orders = np.fft.rfft(cycles, axis=-1)
     orders[..., ~kept] = 0.0
-    filtered: Array = np.fft.irfft(orders, cycles.shape[-1], axis=-1)
-    return filtered
+    return np.fft.irfft(orders, cycles.shape[-1], axis=-1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,15 +83,23 @@ class Remaining:
             for name, values in numbers.items()
         }
 
-    def notes(self, table: LookupTable) -> tuple[str, ...]:
-        """Report moves that were made with another table than the one in the results."""
+    def notes(
+        self,
+        table: LookupTable,
+        tolerance: float = 1e-3,
+        sampled: Callable[[Array, Array], Array] = lambda torque, speed: torque,
+    ) -> tuple[str, ...]:
+        """Report moves that were made with another table than the one in the results.
+
+        `tolerance` is relative to the largest torque: a recorded current is a 4-byte number, and
+        read between two samples. `sampled` returns the torques of a table as they are recorded.
+        """
         speeds = np.array([row.speed for row in self.after])
         here = table.evaluate(
             np.tile(self.position, len(speeds)), np.repeat(speeds, len(self.position))
         ).reshape(self.applied.shape)
-        difference = float(np.abs(here - self.applied).max())
-        # The recorded current is a 4-byte number, and read between two samples.
-        if difference <= 1e-3 * float(np.abs(self.applied).max()):
+        difference = float(np.abs(sampled(here, speeds) - self.applied).max())
+        if difference <= tolerance * float(np.abs(self.applied).max()):
             return ()
         return (
             f"the table that was switched on while recording differs from this one by up to "

@@ -41,14 +41,12 @@ class Row:
     @property
     def mean(self) -> Array:
         """Repeatable part (n,), N m."""
-        mean: Array = self.moves.mean(axis=0)
-        return mean
+        return self.moves.mean(axis=0)
 
     @property
     def u(self) -> Array:
         """Standard uncertainty of the mean (n,), N m: scatter/sqrt(moves)."""
-        u: Array = self.moves.std(axis=0, ddof=1) / math.sqrt(len(self.moves))
-        return u
+        return self.moves.std(axis=0, ddof=1) / math.sqrt(len(self.moves))
 
     @property
     def dof(self) -> int:

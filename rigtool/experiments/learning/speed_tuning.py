@@ -90,8 +90,7 @@ def _outwards(start: float, rows: Sequence[Row]) -> tuple[list[Row], list[Row]]:
 
 def _orders(values: Array) -> Orders:
     """Return the orders 1.. of values (..., n) by angle; the mean is friction, not ripple."""
-    orders: Orders = np.fft.rfft(values, axis=-1)[..., 1:] / values.shape[-1]
-    return orders
+    return np.fft.rfft(values, axis=-1)[..., 1:] / values.shape[-1]
 
 
 def leading_order(wave: Orders) -> int:

@@ -73,14 +73,12 @@ def by_angle(turns: Moves, signals: Array, positions: int) -> Array:
     orders = orders[..., :wanted].astype(np.complex128, copy=False)
     if turns.setpoint[-1] < 0:
         orders = np.conj(orders)  # time runs against the angle
-    found: Array = np.fft.irfft(orders * positions, positions, axis=-1).astype(np.float64)
-    return found
+    return np.fft.irfft(orders * positions, positions, axis=-1).astype(np.float64)
 
 
 def turn_angles(positions: int) -> Array:
     """Return the angles of a table with so many entries a turn, rad."""
-    angles: Array = np.arange(float(positions)) * (TURN / positions)
-    return angles
+    return np.arange(float(positions)) * (TURN / positions)
 
 
 def torque_row(turns: Moves, speed: float, learning: Learning, positions: int) -> Row:

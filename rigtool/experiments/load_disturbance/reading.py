@@ -197,8 +197,7 @@ def _at(rows: Array, count: int) -> Array:
 
     if rows.shape[-1] == count:
         return rows
-    found: Array = resample(rows, count, axis=-1)
-    return found
+    return resample(rows, count, axis=-1)
 
 
 def _find(
@@ -223,8 +222,7 @@ def _find(
 
     def readings(record: Record) -> Array:
         torques = _at(record.torques, loaded.count)[:, used]
-        each: Array = (torques - steady_mean(torques)) @ weight
-        return each
+        return (torques - steady_mean(torques)) @ weight
 
     there = _Explained.of(model, loaded, moment, pair.arm)
     by = (there.design() - design_zero)[:, used] @ weight
@@ -343,5 +341,4 @@ def _read(rows: Array, part: float) -> Array:
     place = part * count
     whole = math.floor(place)
     here, there = rows[..., whole % count], rows[..., (whole + 1) % count]
-    value: Array = here + (place - whole) * (there - here)
-    return value
+    return here + (place - whole) * (there - here)

@@ -95,8 +95,7 @@ def _whole_turns(experiment: Experiment) -> bool:
 
 
 def _spectrum(signal: Array, line: LineNumbers) -> ComplexArray:
-    spectrum: ComplexArray = np.fft.rfft(signal.ravel())[line]
-    return spectrum
+    return np.fft.rfft(signal.ravel())[line]
 
 
 def _signal(spectrum: ComplexArray, line: LineNumbers, shape: tuple[int, ...]) -> Array:
@@ -104,8 +103,7 @@ def _signal(spectrum: ComplexArray, line: LineNumbers, shape: tuple[int, ...]) -
     count = shape[0] * shape[1]
     every = np.zeros(count // 2 + 1, dtype=np.complex128)
     every[line] = spectrum
-    signal: Array = np.fft.irfft(every, count).reshape(shape)
-    return signal
+    return np.fft.irfft(every, count).reshape(shape)
 
 
 def _columns(angle: Array, line: LineNumbers, s: ComplexArray) -> ComplexArray:
@@ -136,5 +134,4 @@ def _least_squares(columns: ComplexArray, values: ComplexArray) -> Array:
         factors = inverse @ right
         square = factors**2 + np.diag(inverse) / 2
         variance = square.reshape(-1, 2, 3).mean(axis=1, keepdims=True).repeat(2, axis=1).ravel()
-    scaled: Array = factors / scale
-    return scaled
+    return factors / scale

@@ -88,8 +88,7 @@ class PlantFit:
         lag = np.exp(
             1j * (self.phase_bend * omega**3 - omega * self.delay) - self.roll_off * omega**2
         )
-        response: ComplexArray = self.model.response(frequency, self.sample_time) * lag
-        return response
+        return self.model.response(frequency, self.sample_time) * lag
 
     def scatter(self, statistic: Callable[[PlantFit], float]) -> float:
         """Return the standard uncertainty of a statistic of the fit by scatter."""

@@ -63,8 +63,7 @@ class FrequencyResponse:
     @property
     def response(self) -> ComplexArray:
         """Mean over the experiments (k,)."""
-        mean: ComplexArray = self.each.mean(axis=0)
-        return mean
+        return self.each.mean(axis=0)
 
     @property
     def u(self) -> Array:
@@ -74,8 +73,7 @@ class FrequencyResponse:
         """
         count = len(self.each)
         scatter = np.sum(np.abs(self.each - self.response) ** 2, axis=0)
-        u: Array = np.sqrt(scatter / (2 * count * (count - 1)))
-        return u
+        return np.sqrt(scatter / (2 * count * (count - 1)))
 
     @property
     def dof(self) -> int:
@@ -100,8 +98,7 @@ def coverage_radius(u: Array, dof: float) -> Array:
 
     |error|^2/(2 u^2) follows F(2, dof) (Hotelling).
     """
-    radius: Array = u * math.sqrt(2 * float(special.fdtri(2, dof, RADIUS_COVERAGE)))
-    return radius
+    return u * math.sqrt(2 * float(special.fdtri(2, dof, RADIUS_COVERAGE)))
 
 
 def frequency_response(
@@ -171,5 +168,4 @@ def _coherence(powers: Sequence[_Correlations]) -> Array:
         ]
         for p in powers
     ]
-    smaller: Array = np.mean(of_each, axis=0).min(axis=0)
-    return smaller
+    return np.mean(of_each, axis=0).min(axis=0)

@@ -36,8 +36,7 @@ def random_phases(lines: LineNumbers, samples: int, rng: np.random.Generator) ->
     """
     phases = np.exp(2j * np.pi * rng.random((PHASE_DRAWS, len(lines))))
     peaks = [np.abs(periodic(lines, phase, samples)).max() for phase in phases]
-    best: ComplexArray = phases[int(np.argmin(peaks))]
-    return best
+    return phases[int(np.argmin(peaks))]
 
 
 def periodic(lines: LineNumbers, amplitude: ComplexArray, samples: int) -> Array:
@@ -49,5 +48,4 @@ def periodic(lines: LineNumbers, amplitude: ComplexArray, samples: int) -> Array
         raise ValueError(f"line {lines.max()} of a period of {samples} samples lies above half")
     spectrum = np.zeros(samples // 2 + 1, dtype=np.complex128)
     spectrum[lines] = amplitude * (samples / 2)
-    signal: Array = np.fft.irfft(spectrum, samples)
-    return signal
+    return np.fft.irfft(spectrum, samples)

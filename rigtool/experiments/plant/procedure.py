@@ -214,9 +214,11 @@ def _swing(experiment: Experiment, lines: LineNumbers, sample_time: float) -> fl
     return float(np.abs(periodic(lines, amplitude, samples_of_period)).max())
 
 
-def rig_needs(recipe: Recipe) -> tuple[str, ...]:
-    """The response from current to angle is that of a current which is held for each sample."""
-    return ("held_current",)
-
-
-PROCEDURE = Procedure("identify-plant", recordings, measure, analyse, rig_needs=rig_needs)
+PROCEDURE = Procedure(
+    "identify-plant",
+    recordings,
+    measure,
+    analyse,
+    # The response from current to angle is that of a current which is held for each sample.
+    rig_needs=lambda recipe: ("held_current",),
+)

@@ -152,13 +152,7 @@ def _periods_of_stroke(recipe: Recipe, motion: Triangle) -> int:
 
 def _triangle(recipe: Recipe, speed: float) -> Triangle:
     settings, ratio = recipe.identify_plant, recipe.rig.angle_ratio
-    motion = Triangle(
-        low=0.0,
-        high=math.radians(settings.angle) * ratio,
-        speed=speed,
-        turn_angle=math.radians(settings.turn_angle) * ratio,
-        cycles=1,
-    )
+    motion = Triangle.of_output(settings.angle, settings.turn_angle, ratio, speed, 1)
     each = max(1, _periods_of_stroke(recipe, motion))
     # An even number of cycles, for the excitation and its reverse
     return replace(motion, cycles=2 * math.ceil(settings.periods / each / 2))

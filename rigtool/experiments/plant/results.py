@@ -13,7 +13,7 @@ from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.plant.fit import MIN_COHERENCE, PlantFit
 from rigtool.experiments.plant.frequency_response import FrequencyResponse
 from rigtool.experiments.plant.margins import Margins, margins
-from rigtool.numerics.arrays import Array, ComplexArray
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity, combined, error_line, inherited
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Table, dof_column
@@ -140,7 +140,7 @@ def _response_table(found: IdentifiedPlant) -> Table:
         {
             "frequency": Column(response.frequency, "Hz"),
             "magnitude": Column(np.abs(value), RESPONSE_UNIT, "angle for each torque"),
-            "phase": Column(unwrapped(value), "rad"),
+            "phase": Column(np.unwrap(np.angle(value)), "rad"),
             **found.columns(np.abs(value), response.u, response.dof, "of the magnitude"),
             "u_phase": Column(response.u / np.abs(value), "rad", "standard, of the phase"),
             "radius": Column(
@@ -176,7 +176,7 @@ def _fit_table(found: IdentifiedPlant, frequency: Array) -> Table:
         {
             "frequency": Column(frequency, "Hz"),
             "magnitude": Column(np.abs(value), RESPONSE_UNIT, "fit, with delay and roll-off"),
-            "phase": Column(unwrapped(value), "rad"),
+            "phase": Column(np.unwrap(np.angle(value)), "rad"),
             **found.columns(
                 np.abs(value), scatter, count - 1, "of the magnitude, if the model is right"
             ),
@@ -240,19 +240,13 @@ class _Loop:
         columns = {"frequency": Column(frequency, "Hz")}
         for name, (value, unit, what) in curves.items():
             columns[f"{name}_magnitude"] = Column(np.abs(value), unit, what)
-            columns[f"{name}_phase"] = Column(unwrapped(value), "rad", what)
+            columns[f"{name}_phase"] = Column(np.unwrap(np.angle(value)), "rad", what)
         return Table(
             ("frequency",),
             columns,
             "t_magnitude",
             "the loop of the recipe's controller and the fitted plant",
         )
-
-
-def unwrapped(response: ComplexArray) -> Array:
-    """Return the phase, rad, without jumps."""
-    phase: Array = np.unwrap(np.angle(response))
-    return phase
 
 
 def _notes(found: IdentifiedPlant, recipe: Recipe) -> list[str]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rigtool.errors import InsufficientDataError
+from rigtool.errors import naming
 from rigtool.experiments.imported import moves, place, position_of
 from rigtool.experiments.ripple.imported_turns import (
     CELLS_AN_ORDER,
@@ -80,16 +80,14 @@ class RepeatedRuns:
         spectrum = self.spectra["torque"]
         count = len(spectrum.order)
         by_alias = self.leak[:count] * spectrum.amplitude / math.sqrt(3)
-        total: Array = np.hypot(spectrum.u, by_alias)
-        return total
+        return np.hypot(spectrum.u, by_alias)
 
     def clear(self) -> Mask:
         """Return the orders (m,) that stand out; of noise alone, one would on average, by
         chance."""
         spectrum = self.spectra["torque"]
         level = max(SIGNIFICANT_RATIO, math.sqrt(math.log(len(spectrum.order))))
-        found: Mask = spectrum.amplitude > level * spectrum.noise_floor
-        return found
+        return spectrum.amplitude > level * spectrum.noise_floor
 
 
 def cells_for(recordings: Sequence[Recording]) -> int:
@@ -127,10 +125,8 @@ def turns_of(recording: Recording, kt: Run | None, positions: int = WAVEFORM_CEL
     if not moves(recording):
         speed = recording.condition(CONSTANT_SPEED) / (2 * math.pi)
         angle = (time - time[0]) * refined_speed(time, effort, speed)
-    try:
+    with naming(place(recording)):
         return find_turns(time, angle, effort, positions)
-    except InsufficientDataError as error:
-        raise InsufficientDataError(f"{place(recording)}: {error}") from None
 
 
 def groups_of(recordings: Sequence[Recording], turns: Sequence[Turns]) -> list[RepeatedRuns]:

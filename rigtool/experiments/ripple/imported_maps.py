@@ -8,16 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rigtool.errors import InsufficientDataError, UsageError
+from rigtool.errors import UsageError, naming
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.ripple.map_shift import (
-    Match,
-    highest_order,
-    map_orders,
-    match_maps,
-    typical,
-)
-from rigtool.experiments.ripple.orders import HIGHEST_ORDER
+from rigtool.experiments.ripple.map_shift import highest_order, map_orders, match_maps, typical
+from rigtool.experiments.ripple.orders import HIGHEST_ORDER, Match
 from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Run, Table
@@ -56,10 +50,8 @@ def read_maps(runs: Sequence[Run]) -> Maps:
     orders = min([HIGHEST_ORDER, *(highest_order(table["position"]) for table in tables)])
     maps = []
     for run, table in zip(runs, tables, strict=True):
-        try:
+        with naming(run.path):
             maps.append(map_orders(table["position"], table[table.signal], orders))
-        except InsufficientDataError as error:
-            raise InsufficientDataError(f"{run.path}: {error}") from None
     reference = typical(maps)
     return Maps(
         np.array(maps),

@@ -6,32 +6,16 @@ map(angle) = mean + sum over orders k of amplitude_k cos(k angle + phase_k)
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.ripple.orders import match_orders
+from rigtool.experiments.ripple.orders import Match, match_orders
 from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.numerics.checks import require_rising, require_signals
 
 MIN_ANGLES = 16
 """Smallest number of angles in a map."""
-
-
-@dataclass(frozen=True)
-class Match:
-    """A map against a reference: correlation at equal angles, and after turning by `shift` rad.
-
-    `scale` is the factor of the turned reference. `shift_u` is the standard uncertainty from the
-    differences between the two: of each order by itself, or of all alike, whichever is larger.
-    """
-
-    correlation: float
-    shift: float
-    shift_u: float
-    best_correlation: float
-    scale: float
 
 
 def highest_order(position: Array) -> int:
@@ -57,12 +41,15 @@ def map_orders(position: Array, values: Array, orders: int) -> ComplexArray:
     turning = np.exp(1j * np.outer(angle, order))
     design = np.column_stack([np.ones(len(angle)), turning.real, -turning.imag])
     found = np.linalg.lstsq(design, value, rcond=None)[0]
-    coefficients: ComplexArray = found[1 : orders + 1] + 1j * found[orders + 1 :]
-    return coefficients
+    return found[1 : orders + 1] + 1j * found[orders + 1 :]
 
 
 def match_maps(reference: ComplexArray, other: ComplexArray) -> Match:
-    """Compare two maps by their orders 1..m (m,); `InsufficientDataError` where one is constant."""
+    """Compare two maps by their orders 1..m (m,); `InsufficientDataError` where one is constant.
+
+    The uncertainty of the shift is from the differences between the two: of each order by itself,
+    or of all alike, whichever is larger.
+    """
     if not np.any(reference) or not np.any(other):
         raise InsufficientDataError("a map is constant: there is no ripple to compare")
     correlation, shift, best, scale = match_orders(reference, other)

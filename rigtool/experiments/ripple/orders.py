@@ -93,8 +93,7 @@ class Sampling:
     def gain(self, order: Array) -> Array:
         """Return the remaining part of the amplitude of orders (m,) up to the highest."""
         cycles = order * self.step
-        left: Array = np.sinc(cycles) ** 2 * np.sinc(cycles) / np.sinc(cycles / self.averaged)
-        return left
+        return np.sinc(cycles) ** 2 * np.sinc(cycles) / np.sinc(cycles / self.averaged)
 
 
 NO_ATTENUATION = Sampling(0.0)
@@ -119,8 +118,7 @@ class Ripple:
     @property
     def mean(self) -> Array:
         """Repeatable part (positions,)."""
-        mean: Array = self.waveforms.mean(axis=0)
-        return mean
+        return self.waveforms.mean(axis=0)
 
     def rms(self) -> Rms:
         """Return the rms of the repeatable part and of the rest.
@@ -177,14 +175,12 @@ class Spectrum:
     @property
     def clear(self) -> Mask:
         """Whether each order is significant (m,)."""
-        clear: Mask = self.amplitude > SIGNIFICANT_RATIO * self.noise_floor
-        return clear
+        return self.amplitude > SIGNIFICANT_RATIO * self.noise_floor
 
     @property
     def u(self) -> Array:
         """Standard uncertainty of each amplitude (m,) by scatter."""
-        u: Array = self.noise_floor / math.sqrt(2)
-        return u
+        return self.noise_floor / math.sqrt(2)
 
     def only(self, chosen: Mask) -> Spectrum:
         """Return the orders that are `chosen` (m,)."""
@@ -277,26 +273,31 @@ def coefficients(
     resolved = order <= sampling.highest_order
     correction[resolved] /= sampling.gain(order[resolved])
     correction[~resolved] = 0.0
-    found: ComplexArray = np.fft.rfft(waveforms, axis=1)[:, 1 : orders + 1] * correction
-    return found
+    return np.fft.rfft(waveforms, axis=1)[:, 1 : orders + 1] * correction
 
 
 @dataclass(frozen=True, eq=False)
-class RippleComparison:
-    """A ripple against a reference one.
+class Match:
+    """A ripple or map against a reference one.
 
     `correlation` at equal angles and `best_correlation` after turning by `shift` rad, between -pi
     and pi; of shifts that fit equally well, as with a second order alone, the smallest. `scale` is
-    the least-squares factor of the turned reference. `correlation_u` and `shift_u` are standard
-    uncertainties with `dof` degrees of freedom.
+    the least-squares factor of the turned reference, `shift_u` the standard uncertainty of the
+    shift.
     """
 
     correlation: float
-    correlation_u: float
     shift: float
     shift_u: float
     best_correlation: float
     scale: float
+
+
+@dataclass(frozen=True, eq=False)
+class RippleComparison(Match):
+    """A match with the standard uncertainty of its correlation, and the `dof` of both of its u."""
+
+    correlation_u: float
     dof: int
 
 
@@ -334,13 +335,13 @@ def compare(reference: Ripple, other: Ripple, orders: int) -> RippleComparison:
     # Differences from the best shift, so that a whole turn counts as zero.
     turned = np.array([math.remainder(found - shift, 2 * math.pi) for found in without[:, 1]])
     correlation_u, shift_u = standard_uncertainty(without[:, 0]), standard_uncertainty(turned)
-    return RippleComparison(correlation, correlation_u, shift, shift_u, best, scale, count - 1)
+    return RippleComparison(correlation, shift, shift_u, best, scale, correlation_u, count - 1)
 
 
 def match_orders(a: ComplexArray, b: ComplexArray) -> tuple[float, float, float, float]:
     """Return correlation, shift, best correlation and scale of b against a, orders 1..m (m,).
 
-    As in `RippleComparison`.
+    As in `Match`.
     """
     power_a, power_b = (float(np.sum(np.abs(c) ** 2)) for c in (a, b))
     # Correlation over the shift; eight points in a period of the highest order suffice to find
@@ -351,7 +352,7 @@ def match_orders(a: ComplexArray, b: ComplexArray) -> tuple[float, float, float,
     turned = np.fft.irfft(cross, size) * size / 2
     highest = np.flatnonzero(turned >= turned.max() - SHIFT_TIE * abs(turned.max()))
     nearest = highest[np.argmin(np.minimum(highest, size - highest))]
-    peak = _summit(turned, int(nearest))
+    peak = summit(turned, int(nearest))
     left, top, right = turned[peak - 1], turned[peak], turned[(peak + 1) % size]
     bend = left - 2 * top + right
     part = 0.5 * (left - right) / bend if bend < 0 else 0.0
@@ -361,11 +362,14 @@ def match_orders(a: ComplexArray, b: ComplexArray) -> tuple[float, float, float,
     return float(turned[0]) / norm, shift, best / norm, best / power_a
 
 
-def _summit(values: Array, start: int) -> int:
-    """Return the index of the local maximum uphill from `start` on a circle."""
+def summit(values: Array, start: int, *, periodic: bool = True) -> int:
+    """Return the index of the maximum of values (n,) uphill from `start`; `periodic`: a circle."""
     size = len(values)
     while True:
-        around = [(start + step) % size for step in (0, -1, 1)]
+        around = [
+            (start + step) % size if periodic else min(max(start + step, 0), size - 1)
+            for step in (0, -1, 1)
+        ]
         best = max(around, key=lambda i: values[i])
         if best == start:
             return start

@@ -115,7 +115,8 @@ def _measure(
         ):
             raise UsageError(f"--spy {options.spy}: is the output of this run: give another name")
     seed = recipe.virtual.seed if recipe.virtual is not None and not on_line else None
-    constant = _assumed_torque_constant(recipe, inputs)
+    kt = inputs.get("kt")
+    constant = recipe.rig.torque_constant if kt is None else torque_per_ampere(kt).value
     if options.dry_run:
         return dry_run(procedure, recipe, constant, inputs)
     operator = Operator(yes=options.yes, spy=options.spy)
@@ -125,7 +126,12 @@ def _measure(
     plan = procedure.recordings(recipe)
     rig.use_only({channel.name for spec in plan for channel in spec.channels})
     if rig.physical:
-        plan = _in_seconds(plan, recipe.rig.sample_time)
+        # Where the program is killed, a second is lost. A virtual rig is a thousand times faster
+        # than its clock: it may lose a large chunk.
+        rates = [1 / (spec.record_every * recipe.rig.sample_time) for spec in plan]
+        plan = tuple(
+            replace(spec, chunk=chunk_of(rate)) for spec, rate in zip(plan, rates, strict=True)
+        )
     writer = _WatchedWriter(
         output,
         command=procedure.command,
@@ -204,16 +210,6 @@ def _shown(
                 one(recording, values)
 
         yield show if shows else None
-
-
-def _in_seconds(plan: Sequence[RecordingSpec], sample_time: float) -> tuple[RecordingSpec, ...]:
-    """Put about a second in a chunk, so that a program that is killed loses no more than that.
-
-    A virtual rig is a thousand times faster than its clock: it may lose a large chunk.
-    """
-    return tuple(
-        replace(spec, chunk=chunk_of(1 / (spec.record_every * sample_time))) for spec in plan
-    )
 
 
 def _permit(
@@ -352,13 +348,6 @@ def require_inputs(procedure: Procedure, inputs: Mapping[str, Run]) -> None:
                 f"--{name} is missing: {procedure.command} needs it, unless all "
                 "sources are imported runs"
             )
-
-
-def _assumed_torque_constant(recipe: Recipe, inputs: Mapping[str, Run]) -> float:
-    """Return the torque constant of the calibration, else that of the data sheet, N m/A."""
-    if "kt" in inputs:
-        return torque_per_ampere(inputs["kt"]).value
-    return recipe.rig.torque_constant
 
 
 class _WatchedWriter(RunWriter):

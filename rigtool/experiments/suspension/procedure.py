@@ -12,7 +12,6 @@ from rigtool.errors import RecipeError, UsageError
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.suspension.springs import (
-    LeafSprings,
     SpringCurve,
     eccentric_torque,
     eigenfrequency,
@@ -105,11 +104,10 @@ def _described(recipe: Recipe) -> MotorSuspension:
 def _stiffness(
     springs: MotorSuspension, curve: SpringCurve, weights_relative_u: float
 ) -> dict[str, Quantity]:
-    computed = LeafSprings(
-        springs.elasticity, springs.length, springs.width, springs.thickness
-    ).stiffness
+    # k = 2 E b t^3 / a^3
+    computed = 2 * springs.elasticity * springs.width * springs.thickness**3 / springs.length**3
     elasticity_u = springs.elasticity * springs.elasticity_relative_u
-    parts = [  # k = 2 E b t^3 / a^3
+    parts = [
         ("elasticity", springs.elasticity, "Pa", elasticity_u, 1),
         ("width", springs.width, "m", springs.dimension_u, 1),
         ("length", springs.length, "m", springs.dimension_u, -3),

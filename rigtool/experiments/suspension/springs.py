@@ -30,21 +30,6 @@ MIN_READINGS = 4
 """Smallest number of readings: two for the line, and two for its uncertainty."""
 
 
-@dataclass(frozen=True)
-class LeafSprings:
-    """Two parallel leaf springs: elasticity in Pa, dimensions in m."""
-
-    elasticity: float
-    length: float
-    width: float
-    thickness: float
-
-    @property
-    def stiffness(self) -> float:
-        """Spring constant of both together along their deflection, N/m."""
-        return 2 * self.elasticity * self.width * self.thickness**3 / self.length**3
-
-
 @dataclass(frozen=True, eq=False)
 class SpringCurve:
     """A straight line through measured readings: deflection = force / stiffness + offset.

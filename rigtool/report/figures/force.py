@@ -143,8 +143,7 @@ def _straight(run: Run, axes: style.Axes, position: Array) -> Mask:
     for low, high in ((0, turn), (end - turn, end + turn), (2 * end - turn, 2 * end)):
         axes.axvspan(low, high, color=style.BAND, linewidth=0, zorder=0)
     within = np.where(position > end, 2 * end - position, position)
-    straight: Mask = (within >= turn) & (within <= end - turn)
-    return straight
+    return (within >= turn) & (within <= end - turn)
 
 
 def _normal_quantiles(probabilities: tuple[float, ...]) -> list[float]:

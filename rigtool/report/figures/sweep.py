@@ -109,5 +109,4 @@ def _envelope(speed: Array, torque: Array) -> tuple[Array, Array]:
 
 
 def _rev_per_s(speed: Array) -> Array:
-    turned: Array = np.asarray(speed, dtype=np.float64) / (2 * math.pi)
-    return turned
+    return np.asarray(speed, dtype=np.float64) / (2 * math.pi)

@@ -54,8 +54,6 @@ if TYPE_CHECKING:
     from rigtool.rigs.operator import Operator
     from rigtool.rigs.serial.rig import SerialRig
 
-__all__ = ["open_serial_rig"]
-
 
 def open_serial_rig(
     recipe: Recipe, torque_constant: float, use: str, operator: Operator

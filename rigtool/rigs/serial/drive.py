@@ -73,7 +73,7 @@ def unwrapped(angle: float, speed: float, moment: float, then: Sample) -> tuple[
 
 
 def persist(
-    act: Callable[[], None], attempts: int, before_again: Callable[[], object] = lambda: None
+    act: Callable[[], None], attempts: int = 3, before_again: Callable[[], object] = lambda: None
 ) -> None:
     """Act; try again where that raises a `HardwareError`, which is raised at last."""
     for left in reversed(range(attempts)):
@@ -95,12 +95,10 @@ class Drive(Protocol):
         Nothing moves and nothing changes. Raises `HardwareError` where something else answers, or
         a drive reports an error that its owner must examine.
         """
-        ...
 
     @property
     def abilities(self) -> Abilities:
         """Abilities of the drive; known after `connect`."""
-        ...
 
     def configure(self, limits: Limits, watchdog: float) -> list[str]:
         """Set limits and watchdog [s] in the drive; remember the previous values.
@@ -109,27 +107,21 @@ class Drive(Protocol):
         Returns the limits that the drive cannot watch, in words that continue "the drive", e.g.
         "has no limit of speed"; the host watches everything anyway.
         """
-        ...
 
     def enable(self, mode: Mode) -> None:
         """Switch the power stage on in this mode, at rest at the shaft's position."""
-        ...
 
     def step(self, setpoint: SetPoint) -> Sample:
         """Send a set point, reset the watchdog, and measure: once each period of the loop."""
-        ...
 
     def read(self) -> Sample:
         """Measure, in any state of the drive; nothing moves."""
-        ...
 
     def halt(self) -> None:
         """Stop at once and switch the power stage off, in any state of the drive.
 
         Called in any state, also twice, also after errors on the line: tries again by itself.
         """
-        ...
 
     def restore(self) -> None:
         """Restore the settings that `configure` changed, if any; called after `halt`."""
-        ...

@@ -75,8 +75,7 @@ class Driver:
 def driver(name: str) -> Driver:
     """Import and return the driver that a recipe names; `RecipeError` for an unknown one."""
     if name in DRIVER_MODULES:
-        found: Driver = importlib.import_module(DRIVER_MODULES[name]).DRIVER
-        return found
+        return importlib.import_module(DRIVER_MODULES[name]).DRIVER
     added = plugins(DRIVER_ENTRY_POINTS, frozenset({*DRIVER_MODULES, REPLAY_DRIVER}))
     if name not in added:
         raise RecipeError(

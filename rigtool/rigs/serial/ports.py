@@ -43,10 +43,6 @@ def askable() -> list[str]:
     return [*driver_names(), *INSTRUMENTS]
 
 
-def _asked_by_default() -> list[str]:
-    return [name for name in askable() if name not in BY_CHARACTER]
-
-
 def find_devices(ports: Sequence[str] = (), drivers: Sequence[str] = ()) -> Iterator[Device]:
     """Probe these ports, or all of this computer, for the devices of these drivers.
 
@@ -55,8 +51,9 @@ def find_devices(ports: Sequence[str] = (), drivers: Sequence[str] = ()) -> Iter
     for a command are probed only where they are named, and alone.
     """
     described = dict(list_ports())
+    drivers = drivers or [name for name in askable() if name not in BY_CHARACTER]
     for port in ports or described:
-        yield _ask_on(port, described.get(port, ""), drivers or _asked_by_default())
+        yield _ask_on(port, described.get(port, ""), drivers)
 
 
 def _ask_on(port: str, description: str, drivers: Sequence[str]) -> Device:

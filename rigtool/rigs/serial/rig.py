@@ -9,7 +9,7 @@ import queue
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Generator, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any, Self
 
 import numpy as np
@@ -215,7 +215,7 @@ class SerialRig(Rig, ABC):
             "port": self._settings.port,
             "identity": self._identity,
             "missing_samples": 0,
-            **self.line.counts.as_dict(),
+            **asdict(self.line.counts),
             **self._facts(),
         }
         if self._gauges:
@@ -251,8 +251,8 @@ class SerialRig(Rig, ABC):
         try:
             for block in blocks:
                 self._add_instruments(block, task.load)
-                problem = watch.problem(block) or self._instrument_problem()
-                if problem:
+                found = [watch.problem(block), *(g.problem() for g in self._gauges.values())]
+                if problem := next(filter(None, found), None):
                     self._break_off()
                     yield block
                     raise HardwareError(problem)
@@ -293,10 +293,6 @@ class SerialRig(Rig, ABC):
         if load.clamped and "rotor_angle" not in block:
             block["rotor_angle"] = np.full(len(block["time"]), self._clamp_angle)
 
-    def _instrument_problem(self) -> str | None:
-        problems = (gauge.problem() for gauge in self._gauges.values())
-        return next((problem for problem in problems if problem), None)
-
     def _host_time(self, time: Array) -> Array:
         """Return the time of the line's clock at these times of the bench clock, s."""
         return time
@@ -323,9 +319,6 @@ class SerialRig(Rig, ABC):
         """Switch the amplifier off and on: it calibrates itself again."""
         self._halt()
         self._operator.done("Switch the amplifier off and on again")
-        self._reconnect()
-
-    def _reconnect(self) -> None:
         self.line.reopen(COMING_BACK)
         self.line.settle()
         self._identity = self._connect()

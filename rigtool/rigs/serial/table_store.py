@@ -39,16 +39,12 @@ class TableStore(Protocol):
 
     def connect(self) -> str:
         """Identify the drive as it does for motions; nothing changes."""
-        ...
 
     def zero(self) -> EncoderZero:
         """Measure the relation between the table's angle and the position, at standstill."""
-        ...
 
     def read(self) -> DriveTable:
         """Return the table that the drive uses."""
-        ...
 
     def store(self, table: DriveTable, before: DriveTable) -> None:
         """Store a table permanently and compare; on any failure restore `before`."""
-        ...

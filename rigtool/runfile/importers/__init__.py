@@ -44,16 +44,6 @@ from rigtool.runfile.provenance import Source, file_sha256
 from rigtool.runfile.writer import RunWriter
 from rigtool.signals import SIGNALS
 
-__all__ = [
-    "Import",
-    "Imported",
-    "first_of",
-    "import_files",
-    "importers",
-    "recognised",
-    "understand",
-]
-
 IMPORTERS = {"epos": epos.IMPORTER}
 """Formats that are recognised without a mapping, in the order in which they are tried."""
 
@@ -282,20 +272,17 @@ def _read(source: Path, mapping: Mapping | None, skip_bad: bool) -> tuple[Raw, M
 
 
 def recognised(source: Path) -> tuple[str, Importer] | None:
-    """Return name and importer of the format that a file is recognised as, None where it is not."""
+    """Return name and importer of the format that a file is recognised as, None where it is not.
+
+    An importer that fails does not know the file.
+    """
     for name, importer in importers().items():
-        if _recognises(name, importer, source):
-            return name, importer
+        try:
+            if importer.recognises(source):
+                return name, importer
+        except Exception as error:  # an importer of anybody's may raise anything
+            warn(f"importer {name} fails at {source}: {type(error).__name__}: {error}")
     return None
-
-
-def _recognises(name: str, importer: Importer, source: Path) -> bool:
-    """Ask an importer whether a file is of its format; one that fails does not know it."""
-    try:
-        return importer.recognises(source)
-    except Exception as error:  # an importer of anybody's may raise anything
-        warn(f"importer {name} fails at {source}: {type(error).__name__}: {error}")
-        return False
 
 
 def _channels(signals: MappingType[str, Array], mapping: Mapping) -> tuple[Channel, ...]:

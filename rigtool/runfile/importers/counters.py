@@ -27,8 +27,7 @@ OTHER_STEP = 1.5
 def unwrapped(values: Array, wraps_at: float) -> Array:
     """Return a counter (n,) that goes on over its overflows, steps of half its range."""
     turns = np.round(np.diff(values) / wraps_at)
-    found: Array = values - wraps_at * np.concatenate([[0.0], np.cumsum(turns)])
-    return found
+    return values - wraps_at * np.concatenate([[0.0], np.cumsum(turns)])
 
 
 def with_shown_ends(raw: Raw, mapping: Mapping) -> tuple[Mapping, list[str]]:

@@ -75,5 +75,4 @@ def _angle_of(values: Array, signal: Signal) -> Array:
     """Return raw angles (n,) in rad."""
     counts = signal.counts_per_turn
     factor = UNITS[signal.unit][0] if counts is None else 2 * math.pi / counts
-    angles: Array = (signal.scale * values + signal.offset) * (signal.sign * factor)
-    return angles
+    return (signal.scale * values + signal.offset) * (signal.sign * factor)

@@ -44,7 +44,7 @@ def test_without_a_plant_the_nominal_inertia_and_no_bound():
     assert found.learning.measured is None
     assert np.isnan(found.tables()["convergence"]["bound"]).all()
     assert "convergence_bound" not in found.results()
-    (note,) = found.notes()
+    (note,) = found.origin
     assert "nominal inertia, 1.503e-05 kg m2; the plant was not measured" in note
     assert "give --plant" in note
 
@@ -63,8 +63,8 @@ def test_with_a_plant_its_inertia_and_a_bound(plant, kind):
     results = found.results()
     assert results["convergence_peak"].value <= results["convergence_bound"].value < 0.1
     assert ("zpetc_phase_advance" in results) == (kind == "zpetc")
-    assert f"inertia {inertia:.5g}" in found.notes()[0]
-    assert any("inverse of the measured response" in note for note in found.notes()) == (
+    assert f"inertia {inertia:.5g}" in found.origin[0]
+    assert any("inverse of the measured response" in note for note in found.origin) == (
         kind == "frf"
     )
 

@@ -27,10 +27,11 @@ from rigtool.experiments.ripple.imported_groups import (
 )
 from rigtool.experiments.ripple.imported_maps import SAME_MAP_VARIANCE, SIGNIFICANT_SHIFT
 from rigtool.experiments.ripple.imported_turns import fill, reduction
-from rigtool.experiments.ripple.map_shift import Match, match_maps
+from rigtool.experiments.ripple.map_shift import match_maps
 from rigtool.experiments.ripple.orders import (
     HIGHEST_ORDER,
     WAVEFORM_CELLS,
+    Match,
     Spectrum,
     cell_centres,
     neighbours_floor,
@@ -294,5 +295,4 @@ def _orders_of(learned: LearnedTable, speed: float) -> Orders:
     orders = min(HIGHEST_ORDER, (count - 1) // 2)
     order = np.arange(1, orders + 1)
     found = np.fft.rfft(table.torque[_row(learned, speed)])[1 : orders + 1] * (2 / count)
-    turned: Orders = found * np.exp(-1j * order * table.position[0])
-    return turned
+    return found * np.exp(-1j * order * table.position[0])

@@ -152,7 +152,7 @@ def analyse(
     require_rig(tables, recipe)
     run, learned = common.only_run(runs), learned_table_from(tables)
     constant, learning = torque_per_ampere(kt).value, _filters(recipe, plant, tables)
-    recorded = common.filled(run, "check") or common.found(run, "learn")
+    recorded = run.recordings_named("check_") or common.found(run, "learn")
     fed = friction_beside(tables)
     whole = learned.table.period is not None
     if whole != _turns(recorded[0].conditions):
@@ -163,7 +163,8 @@ def analyse(
         )
     position = learned.table.position
     if whole:
-        rows = _turned_rows(recorded, recipe, constant, learning, position)
+        turned = [bare_motor.turned(recording, recipe, constant) for recording in recorded]
+        rows = [bare_motor.learned_by(t, learning, position.size, first=True) for t in turned]
         bare_motor.require_friction_fed(recorded[0], constant, fed)
     else:
         position, rows = _moved_rows(recorded, recipe, constant, learning, learned.table)
@@ -176,17 +177,6 @@ def analyse(
 def _turns(conditions: Mapping[str, object]) -> bool:
     """Return whether a recording holds turns, by its conditions."""
     return "revolutions" in conditions
-
-
-def _turned_rows(
-    recorded: Sequence[Recording],
-    recipe: Recipe,
-    torque_constant: float,
-    learning: Learning,
-    position: Array,
-) -> list[Row]:
-    cut = [bare_motor.turned(recording, recipe, torque_constant) for recording in recorded]
-    return [bare_motor.learned_by(item, learning, position.size, first=True) for item in cut]
 
 
 def _moved_rows(

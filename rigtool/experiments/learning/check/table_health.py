@@ -26,6 +26,7 @@ import numpy as np
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.learning.rows import Row
+from rigtool.experiments.ripple.orders import summit
 from rigtool.numerics.arrays import Array, Mask
 
 SHIFT_REACH = 0.25
@@ -59,8 +60,7 @@ class ParityPart:
     @property
     def now(self) -> Array:
         """Mean of the moves (n,)."""
-        now: Array = self.moves.mean(axis=0)
-        return now
+        return self.moves.mean(axis=0)
 
 
 @dataclass(frozen=True)
@@ -329,8 +329,7 @@ def _misfit(left: Array, slope: Array, pattern: Array) -> float:
 
 def _varying(values: Array) -> Array:
     """Return values (..., n) without their mean over position."""
-    varying: Array = values - values.mean(axis=-1, keepdims=True)
-    return varying
+    return values - values.mean(axis=-1, keepdims=True)
 
 
 def _leftovers(learned: Array, there: Array, margin: int) -> Array:
@@ -351,8 +350,7 @@ def _leftovers(learned: Array, there: Array, margin: int) -> Array:
         products = np.array([np.sum(known * there) for known in moved])
         powers = np.array([np.sum(known**2) for known in moved])
     gained = np.maximum(products, 0.0) ** 2 / np.maximum(powers, np.finfo(float).tiny)
-    leftovers: Array = 1 - gained / total
-    return leftovers
+    return 1 - gained / total
 
 
 def _nearest(leftovers: Array, periodic: bool) -> int:
@@ -361,13 +359,5 @@ def _nearest(leftovers: Array, periodic: bool) -> int:
     shifts = np.arange(size)
     shifts = np.where(shifts > size // 2, shifts - size, shifts) if periodic else shifts - size // 2
     good = np.flatnonzero(leftovers <= leftovers.min() + EQUALLY_GOOD)
-    first = good[np.argmin(np.abs(shifts[good]))]
-    # Go down to the minimum next to it.
-    while True:
-        around = [
-            (first + k) % size if periodic else min(max(first + k, 0), size - 1) for k in (0, -1, 1)
-        ]
-        best = min(around, key=lambda i: leftovers[i])
-        if best == first:
-            return int(shifts[first])
-        first = best
+    first = int(good[np.argmin(np.abs(shifts[good]))])
+    return int(shifts[summit(-leftovers, first, periodic=periodic)])

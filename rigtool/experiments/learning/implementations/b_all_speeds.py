@@ -92,8 +92,7 @@ class AllSpeeds(BareMotor[TaughtSpeeds]):
 
     def learned_speeds(self, taught: TaughtSpeeds) -> Collection[float]:
         """Return all speeds of the table."""
-        speeds: list[float] = taught.table.speed.tolist()
-        return speeds
+        return taught.table.speed.tolist()
 
     def learned_tables(self, taught: TaughtSpeeds) -> dict[str, Table]:
         """Return no results beside the table."""

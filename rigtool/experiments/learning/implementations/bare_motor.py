@@ -191,11 +191,6 @@ def learned_by(item: Turned, learning: Learning, positions: int, *, first: bool 
     return learned_row(item.turns, item.speed, learning, positions, before)
 
 
-def torque_by(item: Turned, learning: Learning, positions: int) -> Row:
-    """Return the controller's torque within the band of Q by angle."""
-    return torque_row(item.turns, item.speed, learning, positions)
-
-
 def remaining(
     before: Sequence[Turned], after: Sequence[Turned], learning: Learning, positions: int
 ) -> Remaining:
@@ -212,8 +207,11 @@ def remaining(
                 f"it, only {', '.join(f'{speed:.4g}' for speed in known)}: record both at one speed"
             )
         applied = by_angle(item.turns, item.cycles.before, positions)
-        off = torque_by(known[item.speed], learning, positions)
-        found.append((off, torque_by(item, learning, positions), applied))
+        off, on = (
+            torque_row(one.turns, item.speed, learning, positions)
+            for one in (known[item.speed], item)
+        )
+        found.append((off, on, applied))
     rows_before, rows_after, torques = zip(*found, strict=True)
     return Remaining(turn_angles(positions), rows_before, rows_after, np.stack(torques))
 
@@ -324,7 +322,7 @@ class BareMotor(Implementation[T]):
                 **sweep.tables,
             },
             tuple(self.learned_notes(taught)),
-            notes_on_table(remains, table, self.recipe),
+            remains.notes(table, SAME_TABLE, self._sampled),
             validated,
         )
 
@@ -333,8 +331,8 @@ class BareMotor(Implementation[T]):
         filters, counts = self.filters.learning, self.recipe.rig.encoder_counts
 
         def rows(*kinds: str) -> dict[float, Row]:
-            items = self.turned(r for kind in kinds for r in common.filled(run, kind))
-            return {item.speed: torque_by(item, filters, counts) for item in items}
+            items = self.turned(r for kind in kinds for r in run.recordings_named(f"{kind}_"))
+            return {i.speed: torque_row(i.turns, i.speed, filters, counts) for i in items}
 
         on = rows("on")
         if not on:
@@ -354,9 +352,7 @@ class BareMotor(Implementation[T]):
     def _sweep(self, run: Run) -> Sweep | None:
         """Return the sweeps of a run; None where it holds none."""
         recorded = {r.name: r for r in run.recordings_named("sweep_")}
-        if any(
-            f"sweep_{v}" not in recorded or not recorded[f"sweep_{v}"].size for v in SWEEP_NAMES
-        ):
+        if not recorded.keys() >= {f"sweep_{variant}" for variant in SWEEP_NAMES}:
             return None
         torque = {}
         for variant in SWEEP_NAMES:
@@ -370,25 +366,13 @@ class BareMotor(Implementation[T]):
         speed = np.gradient(found.setpoint, found.time)[used]
         return Sweep(found.time[used], speed, torque, self.torque_constant * found.learned[used])
 
+    def _sampled(self, torque: Array, speed: Array) -> Array:
+        """Return torques by speed and angle (speeds, positions) as they are recorded.
 
-def notes_on_table(remains: Remaining, table: LookupTable, recipe: Recipe) -> tuple[str, ...]:
-    """Report turns that were made with another table than the one in the results.
-
-    A recorded sample is the mean over the angle of several samples of the loop; interpolated
-    between samples it is a mean over three such angles.
-    """
-    speeds = np.array([row.speed for row in remains.after])
-    positions = remains.position
-    here = table.evaluate(
-        np.tile(positions, len(speeds)), np.repeat(speeds, len(positions))
-    ).reshape(remains.applied.shape)
-    angle = recipe.ilc_learn.turning.record_every * recipe.rig.sample_time * np.abs(speeds) / TURN
-    order = np.arange(len(positions) // 2 + 1)
-    seen = np.fft.rfft(here, axis=1) * np.sinc(np.outer(angle, order)) ** 3
-    off = np.abs(np.fft.irfft(seen, len(positions), axis=1) - remains.applied).max()
-    if off <= SAME_TABLE * np.abs(remains.applied).max():
-        return ()
-    return (
-        f"the table that was switched on while recording differs from this one by up to "
-        f"{off * 1e3:.2g} mN m: the residual belongs to the recorded one",
-    )
+        A recorded sample is the mean over the angle of several samples of the loop; interpolated
+        between samples it is a mean over three such angles.
+        """
+        interval = self.recipe.ilc_learn.turning.record_every * self.recipe.rig.sample_time
+        count = torque.shape[1]
+        passed = np.outer(interval * np.abs(speed) / TURN, np.arange(count // 2 + 1))
+        return np.fft.irfft(np.fft.rfft(torque, axis=1) * np.sinc(passed) ** 3, count, axis=1)

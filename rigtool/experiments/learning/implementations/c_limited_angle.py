@@ -183,7 +183,7 @@ class LimitedAngle(Implementation[TaughtMoves]):
         off, on = (
             [
                 row
-                for r in common.filled(run, kind)
+                for r in run.recordings_named(f"{kind}_")
                 for row in torque_rows(
                     self._moves(r)[0], r.condition("speed"), self.learning, position
                 )
@@ -203,31 +203,23 @@ def specs(
     recipe: Recipe, kind: str, speeds_rev_per_s: Iterable[float], moves: int
 ) -> list[RecordingSpec]:
     """Return recordings of moves to and fro at these speeds of the output, rev/s."""
-    recorded = channels(*LOOP_CHANNELS)
-    ratio = recipe.rig.angle_ratio
+    count = float(moves), "1"
+    speeds = [2 * math.pi * speed * recipe.rig.angle_ratio for speed in speeds_rev_per_s]
     return [
         RecordingSpec(
             f"{kind}_{number:03d}",
-            recorded,
-            {
-                "speed": (2 * math.pi * speed * ratio, "rad/s"),
-                "moves": (float(moves), "1"),
-            },
+            channels(*LOOP_CHANNELS),
+            {"speed": (speed, "rad/s"), "moves": count},
         )
-        for number, speed in enumerate(speeds_rev_per_s)
+        for number, speed in enumerate(speeds)
     ]
 
 
 def motion(recipe: Recipe, spec: RecordingSpec) -> Triangle:
     """Return the moves of a recording: one more than is used, since the first one runs in."""
     settings, ratio = recipe.ilc_learn, recipe.rig.angle_ratio
-    return Triangle(
-        low=0.0,
-        high=math.radians(settings.angle) * ratio,
-        speed=spec.conditions["speed"][0],
-        turn_angle=math.radians(settings.turn_angle) * ratio,
-        cycles=int(spec.conditions["moves"][0]) + 1,
-    )
+    speed, moves = (spec.conditions[name][0] for name in ("speed", "moves"))
+    return Triangle.of_output(settings.angle, settings.turn_angle, ratio, speed, int(moves) + 1)
 
 
 def rows(

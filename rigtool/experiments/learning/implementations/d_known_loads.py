@@ -103,15 +103,11 @@ class KnownLoads(LimitedAngle):
         plain = feedforward(recipe.rig.nominal_inertia, friction_results(inputs.get("friction")))
         settings, ratio = recipe.measure_force, recipe.rig.angle_ratio
         for spec in _loaded(recipe):
-            motion = Triangle(
-                low=0.0,
-                high=math.radians(settings.angle) * ratio,
-                speed=spec.conditions["speed"][0],
-                turn_angle=math.radians(settings.turn_angle) * ratio,
-                cycles=int(spec.conditions["cycles"][0]),
+            speed, force, cycles = (spec.conditions[k][0] for k in ("speed", "force", "cycles"))
+            motion = Triangle.of_output(
+                settings.angle, settings.turn_angle, ratio, speed, int(cycles)
             )
-            load = Load(force=spec.conditions["force"][0])
-            task = Task(motion, plain, load, record_every=spec.record_every)
+            task = Task(motion, plain, Load(force=force), record_every=spec.record_every)
             record(rig, task, recorder, spec.name)
         low = rig.position
         for number, spec in enumerate(_explored(recipe)):

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from rigtool.experiments.learning.convergence import LearningRun, carried_noise
-from rigtool.experiments.learning.implementations.signals import filled, found
+from rigtool.experiments.learning.implementations.signals import found
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Recording, Run, Table
 
@@ -28,7 +28,8 @@ def kind_of(updates: int) -> str:
 
 def recorded_runs(run: Run, recipe: Recipe) -> list[list[Recording]]:
     """Return the recordings of each learning run that was made."""
-    later = (filled(run, kind_of(updates)) for updates in range(1, runs_at_most(recipe)))
+    kinds = map(kind_of, range(1, runs_at_most(recipe)))
+    later = (run.recordings_named(f"{kind}_") for kind in kinds)
     return [found(run, kind_of(0)), *(recordings for recordings in later if recordings)]
 
 

@@ -49,15 +49,10 @@ def only_run(runs: Sequence[Run]) -> Run:
 
 def found(run: Run, kind: str) -> list[Recording]:
     """Return the recordings of a kind that hold samples; `RunFileError` where there are none."""
-    recordings = filled(run, kind)
+    recordings = run.recordings_named(f"{kind}_")
     if not recordings:
         raise RunFileError(
             f"{run.path}: has no recording {kind}_000: give the run file in which ilc-learn "
             "recorded its signals"
         )
     return recordings
-
-
-def filled(run: Run, kind: str) -> list[Recording]:
-    """Return the recordings of a kind that hold samples; planned ones may be empty."""
-    return [recording for recording in run.recordings_named(f"{kind}_") if recording.size]

@@ -22,7 +22,7 @@ from rigtool.experiments.learning.implementations.runs import (
     recorded_runs,
     runs_at_most,
 )
-from rigtool.experiments.learning.implementations.signals import filled, found, only_run
+from rigtool.experiments.learning.implementations.signals import found, only_run
 from rigtool.experiments.learning.procedure_design import FilterDesign, design_filters
 from rigtool.experiments.learning.rows import Amplitudes
 from rigtool.experiments.learning.stored_table import feedforward, friction_results
@@ -206,7 +206,7 @@ class Implementation(ABC, Generic[T]):
         recorded = recorded_runs(run, self.recipe)
         self.require_friction_fed(recorded[0][0])
         tuned = found(run, "tune") if "tune" in self.kinds(self.recipe) else []
-        taught = self.finish(self.learn(recorded, filled(run, "low")), tuned)
+        taught = self.finish(self.learn(recorded, run.recordings_named("low_")), tuned)
         report = self.report(run, taught, recorded)
         most = runs_at_most(self.recipe)
         return Outcome(
@@ -214,7 +214,7 @@ class Implementation(ABC, Generic[T]):
             {**report.tables, **self.filters.tables()},
             (
                 *report.learned,
-                *self.filters.notes(),
+                *self.filters.origin,
                 *report.switched_on,
                 *iterations_notes(taught.history, 1e3, self.UNIT, most),
                 *report.validated.notes,

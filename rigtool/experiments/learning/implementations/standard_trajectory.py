@@ -94,7 +94,7 @@ class RepeatedMove(Implementation[TaughtSignal]):
         """Return the signal that all runs so far teach."""
         learning = self.learning
         cut = [self._cut(run[0]) for run in runs]
-        history = [_judge(run, learning, updates) for updates, run in enumerate(cut)]
+        history = [self._judge(run, updates) for updates, run in enumerate(cut)]
         last, variance = last_update(history, learning.factor)
         cycles = cut[last].cycles
         each = learning.updated(cycles.signal, cycles.period, cycles.before)
@@ -107,7 +107,7 @@ class RepeatedMove(Implementation[TaughtSignal]):
         """Report the remaining error, run by run."""
         final = self._cut(common.found(run, "validate")[0])
         history, first = taught.history, taught.history[0]
-        check = _judge(final, self.learning, len(history))
+        check = self._judge(final, len(history))
         if len(history) == 1 or not history[-1].finished:
             history = [*history, check]
         ratio, dof = check.rms / first.rms, float(len(final.error) - 1)
@@ -128,8 +128,26 @@ class RepeatedMove(Implementation[TaughtSignal]):
             ("learned by time: the table is valid for this one move only",),
         )
 
+    def _judge(self, run: _Moves, updates: int) -> LearningRun:
+        return learning_run([run.cycles], self.learning, updates, shown=[_centred(run.error)])
+
     def _cut(self, recording: Recording) -> _Moves:
-        return _cut(recording, self.recipe, self.torque_constant, self.filters.controller)
+        """Cut a recording into moves of a whole number of samples."""
+        found = common.signals(recording, self.recipe)
+        count, moves = (int(recording.condition(name)) for name in ("samples", "moves"))
+        if len(found.time) < (moves + RUN_IN) * count:
+            raise InsufficientDataError(
+                f"recording {recording.name}: {len(found.time)} samples, {moves + RUN_IN} moves of "
+                f"{count} are needed: record them all"
+            )
+        used = slice(RUN_IN * count, (RUN_IN + moves) * count)
+        error = (found.setpoint - found.rotor)[used].reshape(moves, count)
+        learned = (self.torque_constant * found.learned)[used].reshape(moves, count)
+        period = count * self.recipe.rig.sample_time
+        torque = _through(error, period, self.filters.controller)
+        everything = np.ones(count, dtype=np.bool_)
+        cycles = Cycles(period, torque, learned.mean(axis=0), everything)
+        return _Moves(found.setpoint[used][:count], error, cycles)
 
 
 def samples(recipe: Recipe) -> int:
@@ -148,35 +166,9 @@ def move(recipe: Recipe) -> Triangle:
     return Triangle(0.0, angle, speed, turn, settings.moves + RUN_IN)
 
 
-def _judge(run: _Moves, learning: Learning, updates: int) -> LearningRun:
-    return learning_run([run.cycles], learning, updates, shown=[_centred(run.error)])
-
-
 def _centred(error: Array) -> Array:
     """Subtract the mean: half a count of the encoder, and the part that the integrator controls."""
-    centred: Array = error - error.mean()
-    return centred
-
-
-def _cut(
-    recording: Recording, recipe: Recipe, torque_constant: float, controller: TransferFunction
-) -> _Moves:
-    """Cut a recording into moves of a whole number of samples."""
-    found = common.signals(recording, recipe)
-    count, moves = (int(recording.condition(name)) for name in ("samples", "moves"))
-    if len(found.time) < (moves + RUN_IN) * count:
-        raise InsufficientDataError(
-            f"recording {recording.name}: {len(found.time)} samples, {moves + RUN_IN} moves of "
-            f"{count} are needed: record them all"
-        )
-    used = slice(RUN_IN * count, (RUN_IN + moves) * count)
-    error = (found.setpoint - found.rotor)[used].reshape(moves, count)
-    before = (torque_constant * found.learned)[used].reshape(moves, count).mean(axis=0)
-    period = count * recipe.rig.sample_time
-    torque = _through(error, period, controller)
-    everything = np.ones(count, dtype=np.bool_)
-    cycles = Cycles(period, torque, before, everything)
-    return _Moves(found.setpoint[used][:count], error, cycles)
+    return error - error.mean()
 
 
 def _through(error: Array, period: float, controller: TransferFunction) -> Array:
@@ -185,8 +177,7 @@ def _through(error: Array, period: float, controller: TransferFunction) -> Array
     frequency = np.fft.rfftfreq(count, period / count)
     response = np.zeros(frequency.size, dtype=np.complex128)
     response[1:] = controller.response(frequency[1:])
-    torque: Array = np.fft.irfft(np.fft.rfft(error, axis=1) * response, count, axis=1)
-    return torque
+    return np.fft.irfft(np.fft.rfft(error, axis=1) * response, count, axis=1)
 
 
 def _trajectory(learned: TaughtSignal, final: _Moves, recipe: Recipe, learning: Learning) -> Table:
@@ -194,8 +185,7 @@ def _trajectory(learned: TaughtSignal, final: _Moves, recipe: Recipe, learning: 
     period = final.cycles.period
 
     def mean_error(run: _Moves) -> Array:
-        mean: Array = learning.smoothed(_centred(run.error), period).mean(axis=0)
-        return mean
+        return learning.smoothed(_centred(run.error), period).mean(axis=0)
 
     return Table(
         ("time",),

@@ -70,8 +70,7 @@ class _Sdo(canopen.sdo.SdoClient):
     def read_response(self) -> bytes:
         while self.responses.empty():
             self.network.take_in()
-        answer: bytes = super().read_response()
-        return answer
+        return super().read_response()
 
 
 class _Node(canopen.RemoteNode):

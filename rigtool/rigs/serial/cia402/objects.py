@@ -104,11 +104,9 @@ class Objects(Protocol):
 
     def read(self, entry: Entry, retries: int | None = None) -> int:
         """Return a value."""
-        ...
 
     def write(self, entry: Entry, value: int) -> None:
         """Set a value; repeating it does no harm."""
-        ...
 
 
 def find(objects: Objects, entry: Entry) -> int | None:

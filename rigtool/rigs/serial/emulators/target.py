@@ -120,29 +120,27 @@ class TargetEmulator(Emulator):
         if number == frame.sequence and frame.kind != FrameKind.HELLO:
             return answer  # done already, or refused already
         try:
-            kind = FrameKind(frame.kind)
-        except ValueError:
-            return self._refusal(frame, f"request {frame.kind} is not known", Refusal.BAD_VALUE)
-        try:
-            if self._refusals:
-                self._refusals -= 1
-                raise _Refused("the drive reports undervoltage", Refusal.FAULT)
-            if kind is not FrameKind.HELLO and not self._session:
-                raise _Refused("the target was switched on or reset", Refusal.NO_SESSION)
-            payload = self._handlers()[kind](frame.payload)
+            kind, payload = frame.kind | link.REPLY, self._serve(frame)
         except _Refused as error:
-            return self._refusal(frame, str(error), error.code)
-        except VALUE_ERRORS as error:
-            return self._refusal(frame, f"{kind.name}: {error}", Refusal.BAD_VALUE)
-        return self._remember(frame, encode(Frame(kind | link.REPLY, frame.sequence, payload)))
-
-    def _refusal(self, frame: Frame, text: str, code: Refusal) -> bytes:
-        payload = bytes([code]) + text.encode()[:200]
-        return self._remember(frame, encode(Frame(link.REFUSED, frame.sequence, payload)))
-
-    def _remember(self, frame: Frame, answer: bytes) -> bytes:
+            kind, payload = link.REFUSED, bytes([error.code]) + str(error).encode()[:200]
+        answer = encode(Frame(kind, frame.sequence, payload))
         self._answered = (frame.sequence, answer)
         return answer
+
+    def _serve(self, frame: Frame) -> bytes:
+        try:
+            kind = FrameKind(frame.kind)
+        except ValueError:
+            raise _Refused(f"request {frame.kind} is not known", Refusal.BAD_VALUE) from None
+        if self._refusals:
+            self._refusals -= 1
+            raise _Refused("the drive reports undervoltage", Refusal.FAULT)
+        if kind is not FrameKind.HELLO and not self._session:
+            raise _Refused("the target was switched on or reset", Refusal.NO_SESSION)
+        try:
+            return self._handlers()[kind](frame.payload)
+        except VALUE_ERRORS as error:
+            raise _Refused(f"{kind.name}: {error}", Refusal.BAD_VALUE) from error
 
     def _handlers(self) -> dict[FrameKind, Callable[[bytes], bytes]]:
         return {
@@ -355,7 +353,6 @@ class TargetEmulator(Emulator):
     def _move_by(self, payload: bytes) -> bytes:
         if self.state is TargetState.RUNNING:
             raise _Refused("MOVE while a motion runs")
-        self._rig()
         (angle,) = link.read_floats(payload).tolist()
         self._require_within(self._rig().position + angle)
         self._move = angle

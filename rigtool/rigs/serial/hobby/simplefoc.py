@@ -30,7 +30,6 @@ MEASURED_CURRENT = ("dc curr", "foc curr")
 MOTIONS = ("torque", "vel", "angle", "vel open", "angle open", "angle nocascade", "custom")
 """Names of the motion controls, in the order of their numbers."""
 
-HALT_ATTEMPTS = 3
 MISSING_ABILITIES = (
     "has no watchdog: if the computer or the cable fails, it follows its last set point until you "
     "stop it. If rigtool is killed or hangs, another process switches it off",
@@ -139,7 +138,7 @@ class SimpleFoc:
 
     def halt(self) -> None:
         """Switch off, in any state; `HardwareError` where the drive does not confirm it."""
-        persist(self._stop, HALT_ATTEMPTS, self._line.settle)
+        persist(self._stop, before_again=self._line.settle)
         self._on = False
         if self._guard is not None:
             self._guard.rest()

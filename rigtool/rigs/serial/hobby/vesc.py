@@ -43,7 +43,6 @@ TIMEOUT_SLACK = 0.03
 """Time by which the drive may be late with its timeout, which it looks at every 10 ms, s."""
 
 POLL_INTERVAL = 0.005
-HALT_ATTEMPTS = 3
 
 DRIFT_ANGLE, DRIFT_SHARE = 1.0, 0.2
 """Difference between the angle and the integral of speed from which on the two do not belong to one
@@ -224,7 +223,7 @@ class Vesc:
         Raises `HardwareError` where it does not come.
         """
         self._setpoint = 0.0
-        persist(self._stop, HALT_ATTEMPTS)
+        persist(self._stop)
 
     def _stop(self) -> None:
         self._line.write(self._current(0.0))

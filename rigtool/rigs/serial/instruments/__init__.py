@@ -36,15 +36,12 @@ class Gauge(Protocol):
     @property
     def name(self) -> str:
         """The instrument and its port, for the operator."""
-        ...
 
     def begin(self, moment: float) -> None:
         """Prepare for a recording that begins at `moment` of the drive's line, s."""
-        ...
 
     def at(self, moments: Array) -> Array:
         """Return readings at these moments of the drive's line, s, NaN where there is none near."""
-        ...
 
     def problem(self) -> str | None:
         """Return why a run cannot go on with this instrument, None where it can."""
@@ -52,7 +49,6 @@ class Gauge(Protocol):
 
     def report(self) -> dict[str, Any]:
         """Return facts about the instrument that are stored with a run."""
-        ...
 
 
 class OperatorGauge(Gauge):

@@ -15,7 +15,7 @@ from rigtool.errors import HardwareError
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.recipe.serial import MeasuringInstrument
 from rigtool.rigs.serial.instruments.readings import UNSTABLE, Reader, Reading
-from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout
+from rigtool.rigs.serial.line import DamagedReply, Line, LineCounts, LineTimeout
 from rigtool.rigs.serial.transport.spy import RecordEnd
 from rigtool.signals import CHANNELS
 
@@ -235,7 +235,7 @@ class LineGauge:
 
     def report(self) -> dict[str, Any]:
         """Return facts about the instrument that are stored with a run."""
-        counts = self._line.counts.as_dict() if self._line is not None else {}
+        counts = LineCounts() if self._line is None else self._line.counts
         return {
             "driver": self._settings.driver,
             "identity": self._identity,
@@ -247,9 +247,9 @@ class LineGauge:
             "discarded_lines": self._discarded,
             "spikes": self._spikes,
             "flags": dict(sorted(self._flags.items())),
-            "retries": counts.get("retries", 0),
-            "timeouts": counts.get("timeouts", 0),
-            "damaged": counts.get("damaged", 0),
+            "retries": counts.retries,
+            "timeouts": counts.timeouts,
+            "damaged": counts.damaged,
         }
 
     # -- the thread

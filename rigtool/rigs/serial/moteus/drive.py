@@ -44,7 +44,6 @@ LARGEST_BOUND = 32768.0
 TEXT_ROUNDING = 1e-6
 """Turns that a bound may differ by its text of six decimals."""
 
-HALT_ATTEMPTS = 3
 STARTING_TIME = 2.0
 """Longest time in which a drive has to be ready after it is switched on, s."""
 
@@ -359,7 +358,7 @@ class Moteus:
 
     def halt(self) -> None:
         """Switch the power stage off; raises `HardwareError` where it stays on."""
-        persist(self._stop, HALT_ATTEMPTS)
+        persist(self._stop)
 
     def _stop(self) -> None:
         for _ in range(2):  # an answer holds the state before the stop

@@ -26,7 +26,7 @@ from rigtool.rigs.serial.odrive.driver import (
     TEMPERATURE_EVERY,
     TURN,
 )
-from rigtool.rigs.serial.odrive.text import AXIS_ERRORS_05, AXIS_ERRORS_06, describe_errors
+from rigtool.rigs.serial.odrive.text import DIALECT_05, DIALECT_06, Dialect, describe_errors
 from rigtool.rigs.serial.transport.can_frames import CanFrame, encode
 
 BIT_RATES = (250_000,)
@@ -169,26 +169,22 @@ class CanODrive:
         end = self._line.now() + self._silence + HEARTBEAT_TIMEOUT / 2
         while self._line.now() < end:
             self._state()
-            if int(self._heartbeat[0]) & self._watchdog_error:
+            if int(self._heartbeat[0]) & self._dialect.watchdog_error:
                 return True
         return False
 
     @property
-    def _error_names(self) -> dict[int, str]:
-        return AXIS_ERRORS_06 if self._new else AXIS_ERRORS_05
-
-    @property
-    def _watchdog_error(self) -> int:
-        return next(bit for bit, name in self._error_names.items() if "WATCHDOG" in name)
+    def _dialect(self) -> Dialect:
+        return DIALECT_06 if self._new else DIALECT_05
 
     def _clear_watchdog(self) -> None:
-        if int(self._heartbeat[0]) & self._watchdog_error:
+        if int(self._heartbeat[0]) & self._dialect.watchdog_error:
             self._line.write(self._frame(CLEAR_ERRORS, b"\0" if self._new else b""))
 
     def _faults(self) -> list[str]:
         """Return the errors of the last heartbeat, less the watchdog's."""
-        code = int(self._heartbeat[0]) & ~self._watchdog_error
-        found = describe_errors(code, self._error_names)
+        code = int(self._heartbeat[0]) & ~self._dialect.watchdog_error
+        found = describe_errors(code, self._dialect.error_names)
         parts = ("motor", "encoder", "controller")  # 0.5 leaves the axis' own error at 0 for these
         if not self._new:
             for part, flags in zip(parts, self._heartbeat[2:], strict=True):
@@ -271,7 +267,7 @@ class CanODrive:
         """Send a set point and measure; raises `HardwareError` where the loop is open."""
         sample = self._measure(self._command(setpoint))
         if self._heartbeat[1] != CLOSED_LOOP:
-            found = describe_errors(int(self._heartbeat[0]), self._error_names)
+            found = describe_errors(int(self._heartbeat[0]), self._dialect.error_names)
             raise HardwareError(
                 f"{self._line.port}: node {self._node} is in state {self._heartbeat[1]:.0f} "
                 f"instead of its closed loop ({', '.join(found) or 'no error'}): watchdog, reset "

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from operator import itemgetter
 
 from rigtool.errors import HardwareError
 from rigtool.recipe import Recipe
@@ -200,7 +201,9 @@ class ODrive:
         """
         if self._state() == CLOSED_LOOP:
             if mode == self._mode:
-                self._protocol.ask([self._state_question], _first, commands=[f"u {self._axis}"])
+                self._protocol.ask(
+                    [self._state_question], itemgetter(0), commands=[f"u {self._axis}"]
+                )
                 return
             self.halt()
         self._mode, self._control_mode = mode, CONTROL_MODES[mode]
@@ -255,7 +258,7 @@ class ODrive:
             if self._state() == state:
                 return True
             wanted = f"w {self._name('requested_state')} {state}"
-            self._protocol.ask([self._state_question], _first, commands=[feed, wanted])
+            self._protocol.ask([self._state_question], itemgetter(0), commands=[feed, wanted])
             for _ in range(POLLS_PER_ATTEMPT):
                 if self._protocol.ask([self._state_question], _state, commands=[feed]) == state:
                     return True
@@ -365,10 +368,6 @@ class ODrive:
 
     def _number(self, name: str) -> float:
         return self._protocol.ask([f"r {self._name(name)}"], lambda replies: number(replies[0]))
-
-
-def _first(replies: list[str]) -> str:
-    return replies[0]
 
 
 def _state(replies: list[str]) -> int:

@@ -170,21 +170,21 @@ class TargetRig(SerialRig):
     def clamp(self, angle: float) -> None:
         """Clamp the arm with the shaft at this angle, rad."""
         if Ability.CLAMP in self._hello.abilities:
-            self._call(FrameKind.CLAMP, link.NUMBER.pack(angle))
+            self._protocol.call(FrameKind.CLAMP, link.NUMBER.pack(angle))
         else:
             super().clamp(angle)
 
     def soak(self, temperature_degc: float) -> None:
         """Wait until the motor has this temperature throughout, degC."""
         if Ability.SOAK in self._hello.abilities:
-            self._call(FrameKind.SOAK, link.NUMBER.pack(temperature_degc))
+            self._protocol.call(FrameKind.SOAK, link.NUMBER.pack(temperature_degc))
         else:
             super().soak(temperature_degc)
 
     def power_cycle(self) -> None:
         """Switch the amplifier off and on: it calibrates itself again."""
         if Ability.POWER_CYCLE in self._hello.abilities:
-            self._call(FrameKind.POWER_CYCLE)
+            self._protocol.call(FrameKind.POWER_CYCLE)
         else:
             super().power_cycle()
 
@@ -201,7 +201,7 @@ class TargetRig(SerialRig):
     def move_by(self, angle: float) -> None:
         """Turn the shaft by an angle, rad, and come to rest; nothing is recorded."""
         self._require_permission(Task(slow_move(angle, self._limits)))
-        self._call(FrameKind.MOVE, link.NUMBER.pack(angle))
+        self._protocol.call(FrameKind.MOVE, link.NUMBER.pack(angle))
         self._require_done(self._await_end(MAX_OVERTIME))
 
     # -- motions
@@ -218,7 +218,7 @@ class TargetRig(SerialRig):
             raise RecipeError('the target cannot stream: set serial.log = "memory"')
         mask = self._hello.channels & link.recorded_under(task.load)
         stop = math.nan if task.stop_angle is None else task.stop_angle
-        self._call(FrameKind.ARM, link.ARM.pack(task.record_every, stop, mask, streams))
+        self._protocol.call(FrameKind.ARM, link.ARM.pack(task.record_every, stop, mask, streams))
         keeps = Ability.KEEPS_LOG in self._hello.abilities
         period = self._recipe.rig.sample_time * task.record_every
         log = Log(link.sample_type(mask), period, self if keeps else None)
@@ -227,7 +227,7 @@ class TargetRig(SerialRig):
         # A lost request must be repeated before the watchdog expires.
         self._protocol.timeout = min(protocol.REPLY_TIMEOUT, self._settings.watchdog / 3)
         self._protocol.streaming = streams
-        self._call(FrameKind.START)
+        self._protocol.call(FrameKind.START)
         before, status, after = self.line.now(), self._status(), self.line.now()
         self._clock_offset = (before + after) / 2 - status.time
         patience = task.motion.duration + MAX_OVERTIME
@@ -264,7 +264,7 @@ class TargetRig(SerialRig):
         if problem is None and self.line.now() > until:
             problem = f"{self.line.port}: the motion did not end in time: it was stopped"
         if problem:
-            self._call(FrameKind.STOP)
+            self._protocol.call(FrameKind.STOP)
             raise HardwareError(problem)
 
     def _require_done(self, status: Status) -> None:
@@ -282,10 +282,7 @@ class TargetRig(SerialRig):
         status: Status | None = None
         while not stop.is_set() and (status is None or status.state is TargetState.RUNNING):
             self._protocol.listen(POLL_INTERVAL)
-            for first, data in self._arrived:
-                log.take(first, data)
-            self._arrived.clear()
-            self._show(log)
+            self._take_arrived(log)
             for block in log.complete():
                 put(block)
             if line.now() - asked > min(0.1, self._settings.watchdog / 4):
@@ -296,25 +293,23 @@ class TargetRig(SerialRig):
         self._protocol.timeout, self._protocol.streaming = protocol.REPLY_TIMEOUT, False
         if status is None or stop.is_set():
             return
-        for first, data in self._arrived:
-            log.take(first, data)
-        self._show(log)
+        self._take_arrived(log)
         for block in log.rest(status.samples):
             put(block)
         self._require_done(status)
 
-    def _show(self, log: Log) -> None:
-        """Hand on what has come, before it is compared with the target's log."""
+    def _take_arrived(self, log: Log) -> None:
+        """Take what has come, and hand it on before it is compared with the target's log."""
+        for first, data in self._arrived:
+            log.take(first, data)
+        self._arrived.clear()
         if self.watcher is not None and len((block := log.fresh())["time"]):
             self.watcher(block)
 
     # -- on the line
 
-    def _call(self, kind: FrameKind, payload: bytes = b"") -> bytes:
-        return self._protocol.call(kind, payload)
-
     def _status(self) -> Status:
-        status = Status.unpack(self._call(FrameKind.STATUS))
+        status = Status.unpack(self._protocol.call(FrameKind.STATUS))
         if status.boot != self._hello.boot:
             raise HardwareError(
                 f"{self.line.port}: the target was reset in the middle; its measured samples are "
@@ -328,14 +323,16 @@ class TargetRig(SerialRig):
             return
         self._up.pop(slot, None)
         for attempt in range(UPLOAD_ATTEMPTS):
-            self._call(FrameKind.BEGIN, link.BEGIN.pack(slot, len(data)))
+            self._protocol.call(FrameKind.BEGIN, link.BEGIN.pack(slot, len(data)))
             offset = 0
             while offset < len(data):
                 piece = data[offset : offset + self._chunk]
                 self._adapting(FrameKind.CHUNK, link.CHUNK.pack(slot, offset) + piece)
                 offset += len(piece)
             try:
-                self._call(FrameKind.COMMIT, link.COMMIT.pack(slot, len(data), zlib.crc32(data)))
+                self._protocol.call(
+                    FrameKind.COMMIT, link.COMMIT.pack(slot, len(data), zlib.crc32(data))
+                )
             except RequestRefused as error:
                 if error.code != Refusal.BAD_CRC or attempt == UPLOAD_ATTEMPTS - 1:
                     raise
@@ -366,7 +363,7 @@ class TargetRig(SerialRig):
 
     def matches(self, first: int, count: int, data: bytes) -> bool:
         """Return whether these are the samples in the target's log, by their CRC-32."""
-        reply = self._call(FrameKind.DIGEST, link.DIGEST.pack(first, count))
+        reply = self._protocol.call(FrameKind.DIGEST, link.DIGEST.pack(first, count))
         return reply == link.CRC32.pack(zlib.crc32(data))
 
     def _adapting(self, kind: FrameKind, payload: bytes) -> bytes:
@@ -375,7 +372,7 @@ class TargetRig(SerialRig):
         Long frames are hit by disturbances more often than short ones.
         """
         before = self.line.counts.retries
-        reply = self._call(kind, payload)
+        reply = self._protocol.call(kind, payload)
         largest = self._hello.max_payload - link.CHUNK.size
         if self.line.counts.retries > before:
             self._chunk = max(SMALLEST_CHUNK, self._chunk // 2)

@@ -122,8 +122,7 @@ class Message:
         """Read what `pack` returned; raises `DamagedReply` where it is too short."""
         text = payload[cls._LAYOUT.size :].decode("utf-8", "replace")
         kind: Any = cls  # a dataclass
-        found: Self = kind(*_unpack(cls._LAYOUT, payload), text)
-        return found
+        return kind(*_unpack(cls._LAYOUT, payload), text)
 
 
 @dataclass(frozen=True)

@@ -21,11 +21,9 @@ class Memory(Protocol):
 
     def read_log(self, first: int, count: int, size: int) -> bytes:
         """Return samples of `size` bytes, verified by CRC-32."""
-        ...
 
     def matches(self, first: int, count: int, data: bytes) -> bool:
         """Return whether the target's log holds these samples, by their CRC-32."""
-        ...
 
 
 class Log:

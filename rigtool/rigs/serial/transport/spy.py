@@ -145,7 +145,8 @@ class Replay:
 
     def clock(self) -> float:
         """Return the reading of the clock as it was at this point, s."""
-        self._pass_silence()
+        while self._events and self._events[0].kind == "-":
+            self._events.popleft()
         if self._events:
             self._now = self._events[0].time
             if self._events[0].kind == ".":
@@ -206,10 +207,6 @@ class Replay:
 
     def close(self) -> None:
         """Nothing to close."""
-
-    def _pass_silence(self) -> None:
-        while self._events and self._events[0].kind == "-":
-            self._events.popleft()
 
     def _raise_if_lost(self) -> None:
         """Fail as the port did; it stays lost."""
