@@ -66,7 +66,7 @@ def command(
     every: int | None,
     options: CommonOptions,
 ) -> None:
-    """Measure known loads, or an unknown force over time, from current.
+    """Measure known loads, or force over time, from current.
 
     Lifts and lowers each load of the recipe with the learned table switched on; reads the torque at
     one angle of each rising stroke: mean, scatter, error. With an instrument, also reports friction

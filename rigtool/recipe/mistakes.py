@@ -45,6 +45,9 @@ WITHOUT_VALUE = ("missing", "extra_forbidden", "union_tag_not_found", "union_tag
 LONGEST_VALUE = 60
 """Characters of a value in a message."""
 
+LONGEST_LIST = 4
+"""Keys of other tables in a message."""
+
 
 def described_mistakes(
     error: ValidationError,
@@ -78,7 +81,10 @@ def _message(item: ErrorDetails, model: type[BaseModel]) -> str:
         return "is missing; add it"
     if item["type"] == "extra_forbidden":
         key, known = str(item["loc"][-1]), set(keys_at(model, item["loc"][:-1]))
-        remedy = did_you_mean(key, known, "remove it or correct its spelling")
+        keys = dict.fromkeys(_dotted_keys(model))
+        elsewhere = [dotted for dotted in keys if dotted.endswith(f".{key}")]
+        otherwise = f"did you mean {' or '.join(elsewhere[:LONGEST_LIST])}?" if elsewhere else ""
+        remedy = did_you_mean(key, known, otherwise or "remove it or correct its spelling")
         return f"is not a key that this table knows; {remedy}"
     message = item["msg"].removeprefix("Value error, ")
     if item["type"] in EXPECTATIONS:
@@ -100,6 +106,14 @@ def keys_at(model: type[BaseModel], place: Sequence[int | str]) -> Iterator[str]
                 models = [found for field in fields for found in _models_in(field.annotation)]
     for found in models:
         yield from found.model_fields
+
+
+def _dotted_keys(model: type[BaseModel], above: str = "") -> Iterator[str]:
+    """Yield every key of the tables below a model, as `table.key`."""
+    for name, field in model.model_fields.items():
+        yield f"{above}{name}"
+        for found in _models_in(field.annotation):
+            yield from _dotted_keys(found, f"{above}{name}.")
 
 
 def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:

@@ -145,7 +145,7 @@ class Run:
     def summary(self) -> list[str]:
         """Return the lines of `rigtool info`: origin, results, recordings, tables and notes."""
         origin = self.provenance
-        seed = "" if origin["seed"] is None else f", seed {origin['seed']}"
+        seed = "" if origin["seed"] is None else f", virtual rig with seed {origin['seed']}"
         lines = [
             f"{self.path}: {self.command}" + (f" on {self.rig}" if self.rig else ""),
             f"made {origin['date']} by {origin['program']} {origin['version']}{seed}",

@@ -18,6 +18,8 @@ TEXT = (Path(__file__).parents[2] / "recipes" / "briaire-2006.toml").read_text("
     [
         ("rig.arm=3", "rig.arm: must be a table of keys, got 3"),
         ("calibrate_kt.rotor_postions=3", "did you mean rotor_positions?"),
+        ("current_max=3", "did you mean calibrate_kt.current_max?"),
+        ("force=3", "did you mean virtual.contact.force or serial.force?"),
         ("calibrate_kt.nothing_like_it=3", "remove it or correct its spelling"),
         ('virtual.contact=[{kind="pulze",at=[0]}]', "has the 'kind' 'pulze', must be one of"),
         ("virtual.contact=[{at=[0]}]", "needs a key 'kind'"),
