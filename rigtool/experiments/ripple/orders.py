@@ -213,7 +213,8 @@ class Spectrum:
             ratio = self.amplitude[best] / self.noise_floor[best]
             raise InsufficientDataError(
                 f"no order exceeds its noise floor by a factor of {SIGNIFICANT_RATIO:g}, order "
-                f"{self.order[best]:g} comes nearest with {ratio:.3g}: average more revolutions"
+                f"{self.order[best]:g} comes nearest, at {ratio:.3g} times its own: average more "
+                "revolutions"
             )
         return int(self.order[clear[np.argmax(self.amplitude[clear])]])
 
