@@ -95,8 +95,8 @@ class LazyGroup(click.Group):
         except click.NoSuchOption as error:
             name = next((text for text in given if text in self.list_commands(ctx)), "COMMAND")
             raise click.UsageError(
-                f"No such option '{error.option_name}' before the command: options follow it, as "
-                f"in `rigtool {name} {error.option_name}`.",
+                f"No such option '{error.option_name}' before the command: options of a command "
+                f"follow it, as in `rigtool {name} {error.option_name}`.",
                 ctx,
             ) from None
 

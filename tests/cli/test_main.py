@@ -159,7 +159,7 @@ def test_version():
         (["info"], 2, "Missing argument"),
         (["info", "no.h5"], 3, "no.h5: no such file"),
         (["info", "x", "--no-such-option"], 2, "No such option"),
-        (["-q", "info", "x"], 2, "options follow it, as in `rigtool info -q`"),
+        (["-q", "info", "x"], 2, "options of a command follow it, as in `rigtool info -q`"),
     ],
 )
 def test_what_a_user_may_get_wrong(tmp_path, arguments, code, message):
