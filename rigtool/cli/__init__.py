@@ -254,6 +254,8 @@ def _report(error: BaseException, output: Output) -> int:
         return error.code if isinstance(error.code, int) else 1
     if isinstance(error, click.Abort) and error.__cause__ is not None:  # click's name for Ctrl-C
         error = error.__cause__
+    if isinstance(error, click.MissingParameter) and isinstance(error.param, click.Option):
+        error = click.MissingParameter(error.param.help, error.ctx, error.param)
     code, message = _described(error)
     notes = getattr(error, "__notes__", ())
     with suppress(OSError):  # nobody may be there to read it: the code says it too
