@@ -154,7 +154,7 @@ class Run:
                 for item in origin["inputs"]
             ),
             *([f"imported from {origin['source']}"] if origin["source"] else []),
-            f"content {self.content_sha256[:12]}",
+            f"content hash {self.content_sha256[:12]}",
         ]
         for title, part in (
             ("Results", result_lines(self.results)),
