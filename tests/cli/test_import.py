@@ -191,6 +191,8 @@ def test_preview_shows_what_would_be_read(folder, capsys):
     assert [line.split() for line in out.splitlines()[2:4]] == [["1", "2", "3"], ["a", "b", "c"]]
     source.write_text("names;only\n\n")
     assert "1 line, none of numbers" in call(capsys, "import", source, "--preview")[1]
+    source.write_text("".join(f"pos={n} cur=0.{n}\n" for n in range(5)))
+    assert 'NAME2 = { column = "cur", unit' in call(capsys, "import", source, "--preview")[1]
     assert call(capsys, "import", source)[0] == 2
     assert not list(folder.glob("**/*.h5"))
 

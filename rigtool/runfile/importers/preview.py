@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Iterable, Sequence
 from collections.abc import Mapping as Texts
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,7 @@ from rigtool.runfile.importers.header import (
     require_lines_of_samples,
     split_lines,
 )
+from rigtool.runfile.importers.labels import names_in
 from rigtool.runfile.importers.marks import marks_of, split_fields
 from rigtool.runfile.importers.plan import find_files, is_binary
 from rigtool.runfile.importers.raw import Array, read_bytes
@@ -104,7 +105,7 @@ def _columns(source: Path, mapping: Mapping | None) -> list[str]:
         what = {n: repr(a) if isinstance(a, str) else str(np.shape(a)) for n, a in arrays.items()}
         return [
             *(f"{name or 'array'}: {text}" for name, text in what.items()),
-            *_proposed([json.dumps(name, ensure_ascii=False) for name in what if name], {}),
+            *_proposed(_quoted(filter(None, what)), {}),
         ]
     layout = FileLayout() if mapping is None else mapping.file
     lines = split_lines(decoded_text(source, read_bytes(source)), layout.comment)
@@ -115,6 +116,8 @@ def _columns(source: Path, mapping: Mapping | None) -> list[str]:
     begin = before_numbers(lines, marks, range(count))
     if begin == len(rows):
         lines_of = "1 line" if len(rows) == 1 else f"{len(rows)} lines"
+        if labels := names_in(lines):
+            return [f"{lines_of} of names and numbers", *_proposed(_quoted(labels), {})]
         return [f"{lines_of}, none of numbers; delimiter = {marks.delimiter!r}"]
     shown = [[str(number) for number in range(1, count + 1)]]
     shown += [
@@ -130,6 +133,10 @@ def _columns(source: Path, mapping: Mapping | None) -> list[str]:
         *_aligned(shown),
         *_proposed(numbers, names),
     ]
+
+
+def _quoted(names: Iterable[str]) -> list[str]:
+    return [json.dumps(name, ensure_ascii=False) for name in names]
 
 
 def _proposed(columns: Sequence[str], names: Texts[str, str]) -> list[str]:
