@@ -31,8 +31,8 @@ def _names(path: str) -> list[str]:
 def command(name: str | None, output: str | None, firmware: str | None) -> None:
     """Copy a recipe that comes with rigtool, to change it.
 
-    Without NAME, lists them, each with what it describes. Without -o, prints the recipe. Mappings of
-    imports are among them, as import/NAME.
+    Without NAME, lists them, each with what it describes. Without -o, prints the recipe. Mappings
+    of imports are among them, as import/NAME.
     """
     from rigtool.recipe.shipped import recipe_title, shipped_recipe, shipped_recipes
 
