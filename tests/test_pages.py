@@ -153,7 +153,7 @@ def test_what_the_readme_learns_and_corrects_beyond_the_chain_runs(
     build.mkdir()
     for name in ("kt", "friction"):
         shutil.copy(ROOT / "tests" / "fixtures" / f"{name}.h5", build)
-    a, b, d, *measured = calls("\n".join([chain.splitlines()[0], *others]), folder)
+    d, *measured, a, b = calls("\n".join([chain.splitlines()[0], *others]), folder)
     assert len(measured) == 2
     # One run of this line makes the tables of all tests that need known loads.
     assert " ".join(d) == LINE.format(recipe=a[1], kt="build/kt.h5", tables="build/tables-loads.h5")

@@ -73,8 +73,8 @@ def run(site, *arguments):
 def test_a_command_is_listed_without_being_imported_and_runs(install):
     site = install("[rigtool.commands]\nheat = acme_rig:heat\nbroken = acme_missing:command\n")
     listed = run(site, "--help")
-    assert "Commands of other packages:\n  broken  Acme's own. [acme-rig]\n" in listed.stdout
-    assert "  heat    Acme's own. [acme-rig]" in listed.stdout
+    assert f"Commands of other packages:\n  {'broken':17}Acme's own. [acme-rig]\n" in listed.stdout
+    assert f"  {'heat':17}Acme's own. [acme-rig]" in listed.stdout
     assert listed.stderr == ""
     assert run(site, "heat").stdout == "hot\n"
 

@@ -37,28 +37,37 @@ BLOCK_BYTES = 32 * 2**20
 COMMANDS = {
     "recipe": "Copy a recipe that comes with rigtool, to change it.",
     "calibrate-kt": "Find the torque constant against temperature.",
-    "stribeck": "Find friction: Coulomb, viscous, static, and breakaway around the turn.",
-    "fft-ripple": "Measure torque ripple by order of rotation, speed and torque.",
-    "identify-plant": "Measure the frequency response of the plant; fit inertia and friction.",
+    "stribeck": "Find Coulomb, viscous, static and breakaway friction.",
+    "fft-ripple": "Measure torque ripple by order, speed and torque.",
+    "identify-plant": "Measure the frequency response; fit inertia and friction.",
     "ilc-learn": "Learn the disturbance that repeats with position and speed.",
-    "measure-force": "Measure known loads, or an unknown force over time, from current.",
-    "deploy": "Store a learned table in the drive, which then adds it by itself.",
-    "suspension": "Measure the motor's leaf springs; compute what eccentric pulleys do.",
+    "measure-force": "Measure known loads, or force over time, from current.",
+    "suspension": "Measure leaf springs; compute what eccentric pulleys do.",
     "report": "Write tables, figures and one page from any run files.",
-    "import": "Make run files from data that other programs recorded.",
     "info": "Show the contents of a run file.",
     "plot": "Draw a table, a signal or a figure of a run.",
-    "target-emulator": "Serve the virtual rig of a recipe over the host-target link.",
-    "devices": "List serial ports and the devices that answer on them.",
-    "recover": "Make a run file from the remains of an interrupted run.",
-    "verify": "Check run files and everything they were made from.",
     "diff": "Show where two runs differ.",
+    "verify": "Check run files and everything they were made from.",
+    "recover": "Make a run file from the remains of an interrupted run.",
+    "import": "Make run files from data that other programs recorded.",
     "export": "Write a run, or a learned table, for other programs.",
+    "deploy": "Store a learned table in a drive that adds it by itself.",
+    "devices": "List serial ports and the devices that answer on them.",
+    "target-emulator": "Serve a recipe's virtual rig over the host-target link.",
     "batch": "Run many commands, one a line of a file, by one process.",
     "config": "Show the defaults that rigtool.toml states for this folder.",
 }
 """Commands in the order of use, each with the first line of its help. The command itself is the
 object `command` in the module that `module_name` names."""
+
+HEADINGS = {
+    "recipe": "Measure and analyse",
+    "report": "Stored runs",
+    "import": "Exchange with other programs and drives",
+    "devices": "At the bench",
+    "batch": "Many commands",
+}
+"""Headings in the help, each by the first command below it."""
 
 STORED_RUN_COMMANDS = ("plot", "recover", "verify", "diff", "export")
 """Commands on stored runs, whose modules are in a room of their own."""
@@ -77,6 +86,19 @@ def module_name(command: str) -> str:
 
 class LazyGroup(click.Group):
     """Lists commands without importing them: `rigtool --help` needs click only."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse what stands before the command; an option that belongs behind it is named."""
+        given = list(args)
+        try:
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            name = next((text for text in given if text in self.list_commands(ctx)), "COMMAND")
+            raise click.UsageError(
+                f"No such option '{error.option_name}' before the command: options of a command "
+                f"follow it, as in `rigtool {name} {error.option_name}`.",
+                ctx,
+            ) from None
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names in the order of use, then those of other packages."""
@@ -122,11 +144,17 @@ class LazyGroup(click.Group):
         """Write the list of commands into the help."""
         from rigtool.plugins import summary
 
-        with formatter.section("Commands"):
-            formatter.write_dl(list(COMMANDS.items()))
-        if added := {name: summary(entry) for name, entry in _added().items()}:
-            with formatter.section("Commands of other packages"):
-                formatter.write_dl(list(added.items()))
+        heading = "Commands"
+        groups: dict[str, dict[str, str]] = {heading: {}}
+        for name, what in COMMANDS.items():
+            heading = HEADINGS.get(name, heading)
+            groups.setdefault(heading, {})[name] = what
+        groups["Commands of other packages"] = {n: summary(e) for n, e in _added().items()}
+        width = max(len(name) for group in groups.values() for name in group)
+        for heading, group in groups.items():
+            if group:
+                with formatter.section(heading):
+                    formatter.write_dl([(f"{name:{width}}", what) for name, what in group.items()])
 
 
 def _added() -> dict[str, EntryPoint]:
@@ -139,7 +167,8 @@ def _added() -> dict[str, EntryPoint]:
 @click.group(
     cls=LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"]},
-    epilog="\b\nExample:\n  rigtool info kt.h5",
+    epilog="\b\nExample:\n  rigtool recipe briaire-2006 -o rig.toml\n"
+    "  rigtool calibrate-kt rig.toml -o kt.h5\n  rigtool info kt.h5",
 )
 @click.version_option(package_name="rigtool", prog_name="rigtool")
 @click.option("--debug", is_flag=True, expose_value=False, help="Show tracebacks of errors.")
@@ -224,6 +253,8 @@ def _report(error: BaseException, output: Output) -> int:
         return error.code if isinstance(error.code, int) else 1
     if isinstance(error, click.Abort) and error.__cause__ is not None:  # click's name for Ctrl-C
         error = error.__cause__
+    if isinstance(error, click.MissingParameter) and isinstance(error.param, click.Option):
+        error = click.MissingParameter(error.param.help, error.ctx, error.param)
     code, message = _described(error)
     notes = getattr(error, "__notes__", ())
     with suppress(OSError):  # nobody may be there to read it: the code says it too

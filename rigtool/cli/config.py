@@ -25,6 +25,6 @@ def command() -> None:
     file = Path.cwd() / DEFAULTS_FILE
     to.document(file=str(file) if file.exists() else None, defaults=found)
     count = f"{len(found)} default{'s' * (len(found) != 1)}"
-    to.note(f"{file}: {'' if file.exists() else 'is not there: '}{count}")
+    to.note(f"{file}: {'' if file.exists() else 'no such file: '}{count}")
     for key, meaning in DEFAULT_KEYS.items():
         to.line(f"{key:7} {found.get(key, 'none'):24} {meaning}")

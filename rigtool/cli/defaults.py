@@ -40,7 +40,7 @@ def stated() -> dict[str, str]:
     from rigtool.errors import RecipeError
     from rigtool.recipe.load import parse_toml, read_document
 
-    text = read_document(DEFAULTS_FILE, "file of defaults", "docs/start.md", pipe=False)
+    text = read_document(DEFAULTS_FILE, "file of defaults", "config --help", pipe=False)
     data = parse_toml(text, DEFAULTS_FILE)
     for key, value in data.items():
         if key not in DEFAULT_KEYS:

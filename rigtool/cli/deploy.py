@@ -40,7 +40,7 @@ def command(
     yes: bool,
     spy: str | None,
 ) -> None:
-    """Store a learned table in the drive, which then adds it by itself.
+    """Store a learned table in a drive that adds it by itself.
 
     For drives that keep a table of the turn: moteus. The table must be periodic (ilc-learn
     --implementation A or B), of one speed, and of this rig. The stored table is read back and

@@ -38,4 +38,4 @@ def command(ports: tuple[str, ...], drivers: tuple[str, ...]) -> None:
     if not found:
         output.note("no serial ports on this computer")
     if closed := [device.port for device in found if device.problem and ports]:
-        raise HardwareError(f"{', '.join(closed)}: cannot be asked")
+        raise HardwareError(f"{', '.join(closed)}: not queried, the reason is above")

@@ -13,12 +13,12 @@ from rigtool.experiments.running.options import CommonOptions
 @run_option("--kt", "Run of calibrate-kt: current to torque; not needed for imported runs.")
 @common_options
 def command(sources: tuple[str, ...], output: str, kt: str | None, options: CommonOptions) -> None:
-    """Measure torque ripple by order of rotation, speed and torque.
+    """Measure torque ripple by order, speed and torque.
 
-    Turns the bare motor steadily at each speed, under each constant torque and after restarts of
-    the amplifier; separates repeatable from non-repeatable ripple. Thesis section 7.1.3.
-    Imported runs are grouped by their conditions and compared by order; imported maps are compared
-    with each other.
+    An order is a multiple of the frequency of rotation. Turns the bare motor steadily at each
+    speed, under each constant torque and after restarts of the amplifier; separates repeatable
+    from non-repeatable ripple. Thesis section 7.1.3. Imported runs are grouped by their conditions
+    and compared by order; imported maps are compared with each other.
     """
     from rigtool.experiments.ripple.procedure import PROCEDURE
 

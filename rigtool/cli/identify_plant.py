@@ -14,7 +14,7 @@ from rigtool.experiments.running.options import CommonOptions
 @run_option("--kt", "Run of calibrate-kt; without it the data sheet's torque constant is used.")
 @common_options
 def command(sources: tuple[str, ...], output: str, kt: str | None, options: CommonOptions) -> None:
-    """Measure the frequency response of the plant; fit inertia and friction.
+    """Measure the frequency response; fit inertia and friction.
 
     A multisine is added to the controller's torque while the shaft moves at constant speed.
     `ilc-learn --plant` uses the result. Exit code 4 if the excitation is lost in noise or the

@@ -48,7 +48,9 @@ def command(
             to.line(line)
         return
     if output is None:
-        raise click.UsageError("--output: is missing: give a run file, or a folder for many")
+        raise click.UsageError(
+            "Missing option '-o' / '--output': a run file, or a folder for many."
+        )
     found = import_files(
         sources,
         output,
@@ -59,13 +61,14 @@ def command(
         map_path=map_path,
     )
     for item in found.done:
-        left_out = f", {item.left_out} bad left out" if item.left_out else ""
+        left_out = f", {item.left_out} bad ones left out" if item.left_out else ""
         to.written(item.output, f"run of import, {item.samples} samples{left_out}")
     notes = [f"left out: {first_of(error)}" for error in found.bad.values()]
     if others := found.of_other_names:
         names = ", ".join(path.name for path in others[:FILES_NAMED])
         more = f" and {len(others) - FILES_NAMED} more" if len(others) > FILES_NAMED else ""
-        notes.append(f"the mapping is not for {len(others)} files: {names}{more}")
+        files = "1 file" if len(others) == 1 else f"{len(others)} files"
+        notes.append(f"the mapping is not for {files}: {names}{more}")
     by_note: dict[str, list[str]] = {}
     for item in found.done:
         for note in item.notes:

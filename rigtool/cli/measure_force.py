@@ -20,7 +20,9 @@ from rigtool.inputs import is_recipe
 
 
 @measuring(
-    "rigtool measure-force recipes/briaire-2006.toml --kt kt.h5 --tables tables.h5 -o force.h5"
+    "rigtool measure-force recipes/briaire-2006.toml --kt kt.h5 --tables tables.h5 -o force.h5",
+    "rigtool measure-force recipes/briaire-2006.toml --kt kt.h5 --tables tables-loads.h5 "
+    "--record 60 -o force-over-time.h5",
 )
 @run_option("--kt", "Run of calibrate-kt; not needed for imported runs.")
 @run_option("--tables", "Run of ilc-learn, of this rig and attachment.", required=True)
@@ -66,7 +68,7 @@ def command(
     every: int | None,
     options: CommonOptions,
 ) -> None:
-    """Measure known loads, or an unknown force over time, from current.
+    """Measure known loads, or force over time, from current.
 
     Lifts and lowers each load of the recipe with the learned table switched on; reads the torque at
     one angle of each rising stroke: mean, scatter, error. With an instrument, also reports friction

@@ -31,19 +31,20 @@ def _names(path: str) -> list[str]:
 def command(name: str | None, output: str | None, firmware: str | None) -> None:
     """Copy a recipe that comes with rigtool, to change it.
 
-    Without NAME, lists them. Without -o, prints the recipe. Mappings of imports are among them, as
-    import/NAME.
+    Without NAME, lists them, each with what it describes. Without -o, prints the recipe. Mappings
+    of imports are among them, as import/NAME.
     """
-    from rigtool.recipe.shipped import shipped_recipe, shipped_recipes
+    from rigtool.recipe.shipped import recipe_title, shipped_recipe, shipped_recipes
 
     to = current_output()
     found: dict[str, Any] = {}
     if firmware is not None:
         found["firmware"] = _copy_firmware(name, Path(firmware), to)
     if name is None:
-        for known in shipped_recipes():
-            to.line(known)
-        found["recipes"] = list(shipped_recipes())
+        known = shipped_recipes()
+        for each, path in known.items():
+            to.line(f"{each:{max(map(len, known))}}  {recipe_title(path)}")
+        found["recipes"] = list(known)
     elif output is not None:
         from rigtool.runfile.export import write_new
 

@@ -32,7 +32,7 @@ def command(
     reference: str | None,
     options: CommonOptions,
 ) -> None:
-    """Find friction: Coulomb, viscous, static, and breakaway around the turn.
+    """Find Coulomb, viscous, static and breakaway friction.
 
     SOURCE is a recipe (measure holds, sweeps and breakaway ramps, then analyse) or run files of
     this command (analyse their signals again, pooled; a note names what they do not hold).

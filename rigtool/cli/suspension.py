@@ -9,7 +9,7 @@ from rigtool.experiments.running.options import CommonOptions
 @measuring("rigtool suspension recipes/briaire-2006.toml -o suspension.h5")
 @common_options
 def command(sources: tuple[str, ...], output: str, options: CommonOptions) -> None:
-    """Measure the motor's leaf springs; compute what eccentric pulleys do.
+    """Measure leaf springs; compute what eccentric pulleys do.
 
     Known forces pull at the motor, and a micrometer reads its deflection. Reports the measured
     stiffness beside the one computed from dimensions, the eigenfrequency of motor and springs, and

@@ -35,7 +35,7 @@ def command(
     seed: int | None,
     overrides: tuple[str, ...],
 ) -> None:
-    """Serve the virtual rig of a recipe over the host-target link.
+    """Serve a recipe's virtual rig over the host-target link.
 
     Prints the port to write into a recipe (serial.port), and serves until Ctrl-C. For trying out
     recipes without hardware, and as a pattern for firmware: target-link.md.

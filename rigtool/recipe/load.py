@@ -92,7 +92,7 @@ def load_recipe(path: str | Path, overrides: Sequence[str] = ()) -> tuple[Recipe
     `overrides` are `key=value` strings with dotted keys, as the option `--set` takes them.
     Raises `RecipeError` with every mistake and its line.
     """
-    text = read_document(path, "recipe", "recipes/")
+    text = read_document(path, "recipe", "recipe briaire-2006")
     return parse_recipe(text, str(path), overrides), text
 
 
@@ -108,13 +108,13 @@ def parse_recipe(text: str, name: str = "recipe", overrides: Sequence[str] = ())
     return validate(Recipe, data, text, name, "recipe", overrides)
 
 
-def read_document(path: str | Path, kind: str, examples: str, *, pipe: bool = True) -> str:
+def read_document(path: str | Path, kind: str, example: str, *, pipe: bool = True) -> str:
     """Return the text of a recipe or mapping; `RecipeError` where the file cannot be read.
 
     A `pipe` is read to its end, once.
     """
     if not os.path.lexists(path):
-        raise RecipeError(f"{path}: no such {kind}; {examples} holds examples")
+        raise RecipeError(f"{path}: no such {kind}; `rigtool {example}` shows one")
     try:
         with open_input(path, RecipeError, pipe=pipe) as file:
             data = file.read(MAX_BYTES + 1)

@@ -373,7 +373,7 @@ class Mapping(Section):
 
 def load_mapping(path: str | Path) -> tuple[Mapping, str]:
     """Read a mapping file and return it with its text; `RecipeError` with every mistake's line."""
-    text = read_document(path, "mapping", "recipes/import")
+    text = read_document(path, "mapping", "recipe import/mis-tool")
     return parse_mapping(text, str(path)), text
 
 

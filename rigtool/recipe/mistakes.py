@@ -45,6 +45,9 @@ WITHOUT_VALUE = ("missing", "extra_forbidden", "union_tag_not_found", "union_tag
 LONGEST_VALUE = 60
 """Characters of a value in a message."""
 
+LONGEST_LIST = 4
+"""Keys of other tables in a message."""
+
 
 def described_mistakes(
     error: ValidationError,
@@ -67,7 +70,7 @@ def described_mistakes(
         dotted = ".".join(str(part) for part in item["loc"]) if path else kind
         given = any(".".join(path[:end]) in set_keys for end in range(1, len(path) + 1))
         where = f"{name}, --set" if given else _where(name, path, lines)
-        mistakes.append(f"{where}: {dotted}: {_message(item, model)}")
+        mistakes.append(f"{where}: {dotted}: {_message(item, model)}{_meaning(model, item['loc'])}")
     count = len(mistakes)
     head = f"{name}: {count} mistake{'s' if count > 1 else ''} in the {kind}"
     return "\n  ".join([head, *mistakes])
@@ -78,11 +81,15 @@ def _message(item: ErrorDetails, model: type[BaseModel]) -> str:
         return "is missing; add it"
     if item["type"] == "extra_forbidden":
         key, known = str(item["loc"][-1]), set(keys_at(model, item["loc"][:-1]))
-        remedy = did_you_mean(key, known, "remove it or correct its spelling")
+        keys = dict.fromkeys(_dotted_keys(model))
+        elsewhere = [dotted for dotted in keys if dotted.endswith(f".{key}")]
+        otherwise = f"did you mean {' or '.join(elsewhere[:LONGEST_LIST])}?" if elsewhere else ""
+        remedy = did_you_mean(key, known, otherwise or "remove it or correct its spelling")
         return f"is not a key that this table knows; {remedy}"
     message = item["msg"].removeprefix("Value error, ")
     if item["type"] in EXPECTATIONS:
         message = EXPECTATIONS[item["type"]].format(**item.get("ctx", {}))
+        message = message.replace(" 1 values", " 1 value")
     if item["type"] in WITHOUT_VALUE or isinstance(item["input"], dict) or ", got " in message:
         return message
     value = repr(item["input"])
@@ -90,16 +97,39 @@ def _message(item: ErrorDetails, model: type[BaseModel]) -> str:
     return f"{message}, got {shown}"
 
 
+def _meaning(model: type[BaseModel], place: Sequence[int | str]) -> str:
+    """Return in brackets what a key means, and its unit; nothing for a table or an unknown key."""
+    last = max((index for index, part in enumerate(place) if isinstance(part, str)), default=0)
+    for table in _tables_at(model, place[:last]):
+        field = table.model_fields.get(str(place[last])) if place else None
+        if field is not None and field.description:
+            return f" ({field.description})"
+    return ""
+
+
 def keys_at(model: type[BaseModel], place: Sequence[int | str]) -> Iterator[str]:
     """Yield the keys of the tables that may stand at a place."""
+    for table in _tables_at(model, place):
+        yield from table.model_fields
+
+
+def _tables_at(model: type[BaseModel], place: Sequence[int | str]) -> list[type[BaseModel]]:
+    """Return the tables that may stand at a place."""
     models = [model]
     for part in place:
         if isinstance(part, str):
             fields = [m.model_fields[part] for m in models if part in m.model_fields]
             if fields:  # else the tag of a table in a list
                 models = [found for field in fields for found in _models_in(field.annotation)]
-    for found in models:
-        yield from found.model_fields
+    return models
+
+
+def _dotted_keys(model: type[BaseModel], above: str = "") -> Iterator[str]:
+    """Yield every key of the tables below a model, as `table.key`."""
+    for name, field in model.model_fields.items():
+        yield f"{above}{name}"
+        for found in _models_in(field.annotation):
+            yield from _dotted_keys(found, f"{above}{name}.")
 
 
 def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:

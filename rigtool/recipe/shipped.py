@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from importlib.metadata import PackageNotFoundError, distribution
+from itertools import takewhile
 from pathlib import Path
 
 from rigtool.errors import UsageError, did_you_mean
@@ -30,6 +32,14 @@ def shipped_recipes() -> dict[str, Path]:
         if folder and name.endswith(".toml"):
             found[name.removesuffix(".toml")] = Path(str(file.locate()))
     return dict(sorted(found.items()))
+
+
+def recipe_title(path: Path) -> str:
+    """Return what a recipe describes: its first comment, as far as the first stop."""
+    lines = takewhile(lambda line: line.startswith("#"), path.read_text("utf-8").splitlines())
+    return re.split(r"(?<![A-Z])[.,:;] ", " ".join(line.strip("# ") for line in lines))[0].rstrip(
+        "."
+    )
 
 
 def shipped_recipe(name: str) -> str:

@@ -158,5 +158,5 @@ def require_unit(unit: str, more: Sequence[str] = ()) -> str:
     found = unit_name(unit)
     if found not in (*UNITS, *more):
         near = did_you_mean(found, UNITS, f"known are {', '.join([*UNITS, *more])}")
-        raise ValueError(f"is no known unit: {near}")
+        raise ValueError(f"is no known unit, got {unit!r}: {near}")
     return found

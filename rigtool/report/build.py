@@ -53,6 +53,7 @@ class Origin:
     command: str
     rig: str
     attachment: str
+    virtual: bool
     seed: str
     date: str
     version: str
@@ -84,6 +85,13 @@ class Report:
     results: tuple[ReportTable, ...]
     pictures: tuple[Picture, ...]
     origins: tuple[Origin, ...]
+
+    @property
+    def virtual(self) -> str:
+        """Whether simulated rigs were recorded: all of the runs, or how many; else nothing."""
+        count = sum(origin.virtual for origin in self.origins)
+        everything = "on a virtual rig,"
+        return everything if count == len(self.origins) else f"{count} {everything}" * (count > 0)
 
     @property
     def headline(self) -> tuple[Picture, ...]:
@@ -204,6 +212,7 @@ def _origin(label: str, run: Run) -> Origin:
         command=run.command,
         rig=run.rig or "",
         attachment=attachment_of(run) or "",
+        virtual=run.recipe is not None and run.recipe.rig.source == "virtual",
         seed=origin["seed"] or "",
         date=origin["date"],
         version=f"{origin['program']} {origin['version']}",

@@ -63,12 +63,14 @@ def _over_time_table(run: Run, label: str) -> ReportTable:
         if not size.size or size.max() < 0:
             continue
         row = {name: float(force[name][section[size.argmax()]]) for name in names}
+        u, force_n = row.get("u", math.nan), row.get("force", math.nan)
+        of_torque = _digits(1e3 * u)
         cells = {
             "time": number_cell(row["time"], ".2f", 1),
-            "torque": mean_cell(row["torque"], row.get("u", math.nan)),
-            "low": number_cell(row["low"], ".4g"),
-            "high": number_cell(row["high"], ".4g"),
-            "force": number_cell(row.get("force"), ".4g", 1),
+            "torque": mean_cell(row["torque"], u),
+            "low": number_cell(row["low"], of_torque),
+            "high": number_cell(row["high"], of_torque),
+            "force": number_cell(force_n, _digits(u * abs(force_n / (row["torque"] or 1.0))), 1),
         }
         rows.append(tuple(cells[column.key] for column in _OVER_TIME))
     return ReportTable(
@@ -78,6 +80,11 @@ def _over_time_table(run: Run, label: str) -> ReportTable:
         rows=tuple(rows),
         note="From and to are the ends of the 95 % interval of the torque.",
     )
+
+
+def _digits(u: float) -> str:
+    """Return the format of a number with two digits of its standard uncertainty."""
+    return f".{max(0, 1 - math.floor(math.log10(u)))}f" if 0 < u < math.inf else ".4g"
 
 
 def _accuracy_table(run: Run, label: str) -> ReportTable:

@@ -43,11 +43,11 @@ class _Requirement:
 
 
 _COLUMNS = (
-    ReportColumn("requirement", "Required", numeric=False),
+    ReportColumn("requirement", "Required", numeric=False, wraps=True),
     ReportColumn("limit", "Limit"),
     ReportColumn("value", "Measured", uncertain=True),
     ReportColumn("unit", "Unit", numeric=False),
-    ReportColumn("verdict", "Verdict", numeric=False),
+    ReportColumn("verdict", "Verdict", numeric=False, wraps=True),
     ReportColumn("shown", "Shown by", numeric=False, wraps=True),
 )
 

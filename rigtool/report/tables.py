@@ -158,7 +158,7 @@ def results_table(run: Run, label: str) -> ReportTable:
         ReportColumn("value", "Value", uncertain=True),
         ReportColumn("unit", "Unit", numeric=False),
         ReportColumn("published", "Published"),
-        ReportColumn("section", "Section", numeric=False),
+        ReportColumn("section", "Thesis section", numeric=False),
         ReportColumn("reason", "No uncertainty because", numeric=False, wraps=True),
     )
     kept = [n for n, c in enumerate(columns) if compared or c.key not in ("published", "section")]

@@ -28,6 +28,7 @@ _CHUNK_CACHE = {"rdcc_nbytes": 2 * 8 * schema.CHUNK, "rdcc_nslots": 101}
 8 MiB of HDF5's default would only displace the samples from the processor's cache."""
 
 CHANGED_MEANWHILE = "was replaced or changed while it was being read: run the command again"
+IMPORT_HINT = "; `rigtool import` makes one of data that other programs recorded"
 DAMAGED_REMEDY = "restore it from a copy, or make it anew"
 
 
@@ -106,6 +107,8 @@ def open_hdf5(path: str | os.PathLike[str]) -> h5py.File:
         what = "a folder" if os.path.isdir(path) else "a device or a pipe"
         what = f"is {what}, not a file" if os.path.exists(path) else "no such file"
         hint = "; recipes end in .toml" if path.suffix not in (".h5", ".part") else ""
+        if os.path.isdir(path):
+            hint = f": {path}/*.h5 names all of a folder"
         raise RunFileError(
             f"{path}: {what}; give a run file (.h5) that a rigtool command wrote{hint}"
         )
@@ -113,7 +116,10 @@ def open_hdf5(path: str | os.PathLike[str]) -> h5py.File:
         size, magic = os.fstat(stream.fileno()).st_size, stream.read(8)
     if magic != b"\x89HDF\r\n\x1a\n":
         what = "is empty" if size == 0 else "is not an HDF5 file"
-        raise RunFileError(f"{path}: {what}; give a run file (.h5) that a rigtool command wrote")
+        hint = "" if size == 0 or path.suffix in (".h5", ".part", ".toml") else IMPORT_HINT
+        raise RunFileError(
+            f"{path}: {what}; give a run file (.h5) that a rigtool command wrote{hint}"
+        )
     try:
         return open_file(path, "r", **_CHUNK_CACHE)
     except Exception as error:

@@ -145,7 +145,7 @@ class Run:
     def summary(self) -> list[str]:
         """Return the lines of `rigtool info`: origin, results, recordings, tables and notes."""
         origin = self.provenance
-        seed = "" if origin["seed"] is None else f", seed {origin['seed']}"
+        seed = "" if origin["seed"] is None else f", virtual rig with seed {origin['seed']}"
         lines = [
             f"{self.path}: {self.command}" + (f" on {self.rig}" if self.rig else ""),
             f"made {origin['date']} by {origin['program']} {origin['version']}{seed}",
@@ -154,7 +154,7 @@ class Run:
                 for item in origin["inputs"]
             ),
             *([f"imported from {origin['source']}"] if origin["source"] else []),
-            f"content {self.content_sha256[:12]}",
+            f"content hash {self.content_sha256[:12]}",
         ]
         for title, part in (
             ("Results", result_lines(self.results)),

@@ -65,7 +65,7 @@ def recover(
 
 def _output(part: Path, output: str | os.PathLike[str] | None, overwrite: bool) -> Path:
     if output is None and part.suffix != ".part":
-        raise UsageError(f"{part}: its name does not end in .part: name the output by -o")
+        raise UsageError(f"{part}: its name does not end in .part, so give the output by -o")
     found = part.with_suffix("") if output is None else Path(output)
     return require_output(found, overwrite=overwrite, inputs=[part])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from itertools import groupby
 
@@ -12,15 +13,22 @@ from rigtool.runfile.recording import Recording
 
 
 def result_lines(results: Mapping[str, Quantity]) -> list[str]:
-    """Return one aligned line a result: name, value with uncertainty and unit, or the reason."""
+    """Return one aligned line a result: name, value with uncertainty and unit, or the reason.
+
+    A reason that several results share stands once, below them.
+    """
     width = max(map(len, results), default=0)
+    reasons = Counter(item.reason for item in results.values() if item.u is None)
+    shared = [reason for reason, count in reasons.items() if count > 1]
     lines = []
     for name, quantity in results.items():
         line = f"{name:{width}}  {format_quantity(quantity, name)}"
-        if quantity.u is None:
+        if quantity.reason in shared:
+            line += f"  (no uncertainty [{shared.index(quantity.reason) + 1}])"
+        elif quantity.u is None:
             line += f"  (no uncertainty: {quantity.reason})"
         lines.append(line)
-    return lines
+    return [*lines, *(f"[{index}] {reason}" for index, reason in enumerate(shared, 1))]
 
 
 def budget_lines(name: str, quantity: Quantity) -> list[str]:

@@ -50,7 +50,7 @@ def test_defaults_behind_a_link_that_leads_nowhere_are_not_there(tmp_path, monke
     monkeypatch.chdir(tmp_path)
     Path("rigtool.toml").symlink_to("rigtool.toml")
     code, _, err = called(capsys, "config")
-    assert (code, "rigtool.toml: is not there: 0 defaults" in err) == (0, True)
+    assert (code, "rigtool.toml: no such file: 0 defaults" in err) == (0, True)
 
 
 def test_the_command_line_comes_first_and_help_needs_no_defaults(folder, capsys):

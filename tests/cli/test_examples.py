@@ -34,11 +34,9 @@ SHORTER = {**MEASURING, "ilc-learn": SHORT["tables"]}
 def lines_of_the_readme():
     """Return the lines that tests/test_pages.py runs, in a folder of their own."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    chain = text.partition("R=recipes/briaire-2006.toml; mkdir -p build\n")[2].partition("```")[0]
-    return {
-        " ".join(line.split()).replace("$R", "recipes/briaire-2006.toml").replace("build/", "")
-        for line in chain.splitlines()
-    }
+    recipe = "recipes/briaire-2006.toml"
+    lines = text.partition(f"R={recipe}; mkdir -p build\n")[2].splitlines()
+    return {" ".join(line.split()).replace("$R", recipe).replace("build/", "") for line in lines}
 
 
 def examples():

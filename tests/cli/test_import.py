@@ -133,7 +133,7 @@ def test_a_mapping_states_which_files_it_is_for(folder, capsys):
     arguments = ("import", folder / "in", "--map", folder / "map.toml", "-o", folder / "out")
     code, _, err = call(capsys, *arguments)
     assert code == 0
-    assert "the mapping is not for 1 files: SerialLog.txt" in err
+    assert "the mapping is not for 1 file: SerialLog.txt" in err
     assert sorted(os.listdir(folder / "out")) == ["a.h5", "b.h5"]
     (folder / "map.toml").write_text(text.replace("?.*", "*.dat"))
     code, _, err = call(capsys, *arguments, "--overwrite")
@@ -190,9 +190,34 @@ def test_preview_shows_what_would_be_read(folder, capsys):
     assert "numbers from line 2 on; delimiter = ';', decimal = '.'" in out
     assert [line.split() for line in out.splitlines()[2:4]] == [["1", "2", "3"], ["a", "b", "c"]]
     source.write_text("names;only\n\n")
-    assert "1 lines, none of numbers" in call(capsys, "import", source, "--preview")[1]
+    assert "1 line, none of numbers" in call(capsys, "import", source, "--preview")[1]
+    source.write_text("".join(f"pos={n} cur=0.{n}\n" for n in range(5)))
+    assert 'NAME2 = { column = "cur", unit' in call(capsys, "import", source, "--preview")[1]
     assert call(capsys, "import", source)[0] == 2
     assert not list(folder.glob("**/*.h5"))
+
+
+def test_the_proposed_mapping_needs_names_and_units_only(folder, capsys):
+    source = folder / "in" / "a.csv"
+    out = call(capsys, "import", source, "--preview")[1]
+    text = out.partition("\nmapping = 1")[2].partition("\n\n")[0]
+    for change in (('"UNIT"', '"count"'), ("NAME2", "encoder"), ("NAME3", "index")):
+        assert change[0] in text
+        text = text.replace(*change)
+    (folder / "own.toml").write_text(f"mapping = 1{text}")
+    code, _, err = call(
+        capsys, "import", source, "--map", folder / "own.toml", "-o", folder / "own.h5"
+    )
+    assert code == 0, err
+    with open_run(folder / "own.h5") as run:
+        assert set(run.recording("imported").units) == {"time", "encoder", "index"}
+
+
+def test_a_run_file_needs_no_import(folder, capsys):
+    (folder / "run.h5").write_bytes(b"")
+    code, _, err = call(capsys, "import", folder / "run.h5", "-o", folder / "out.h5")
+    assert code == 3
+    assert "need no import" in err
 
 
 def _with_head(folder):

@@ -7,7 +7,9 @@ from click.testing import CliRunner
 
 from rigtool.cli.info import command
 from rigtool.errors import UsageError
+from rigtool.quantity import Quantity
 from rigtool.runfile import open_run
+from rigtool.runfile.summary import result_lines
 from tests.runfile.whole_run import SIZE, write
 
 
@@ -16,6 +18,17 @@ def path(tmp_path_factory):
     folder = tmp_path_factory.mktemp("info")
     first = write(folder / "kt.h5", size=100)
     return write(folder / "friction.h5", inputs=(first,))
+
+
+def test_a_reason_that_results_share_stands_once():
+    without = {name: Quantity(1.0, "1", reason="no --kt") for name in ("first", "second")}
+    lines = result_lines({**without, "third": Quantity(2.0, "1", reason="a count")})
+    assert lines == [
+        "first   1  (no uncertainty [1])",
+        "second  1  (no uncertainty [1])",
+        "third   2  (no uncertainty: a count)",
+        "[1] no --kt",
+    ]
 
 
 def test_one_screen(path):

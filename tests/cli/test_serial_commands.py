@@ -52,7 +52,7 @@ def test_it_measures_with_yes_and_tells_of_the_line(tmp_path, capsys):
         code, out, err = calibrate(capsys, tmp_path, server.port, "--yes", "--json")
     assert code == 0, err
     assert "rigtool target emulator, link version 1, 8000 Hz" in err
-    assert "4 times CurrentSteps: 5.2 s, current up to 4 A" in err
+    assert "4 times current steps: 5.2 s, current up to 4 A" in err
     line = json.loads(out)["provenance"]["line"]
     assert line["driver"] == "target"
     assert line["port"] == server.port
@@ -84,8 +84,9 @@ def test_it_asks_at_a_terminal(tmp_path, capsys, monkeypatch, answer):
 def test_dry_run_opens_no_port_and_writes_nothing(tmp_path, capsys):
     code, out, err = calibrate(capsys, tmp_path, "/dev/no-such-port", "--dry-run")
     assert code == 0, err
-    assert "4 times CurrentSteps: 5.2 s, current up to 4 A" in out
-    assert "bring the motor to 20 degC" in out
+    assert "4 times current steps: 5.2 s, current up to 4 A" in out
+    assert "At the bench:\n  bring the motor to 20, " in out
+    assert "degC\n  clamp the arm at several angles\n" in out
     assert "Within the limits 10 A, 60 rad/s" in out
     assert list(tmp_path.iterdir()) == []
 
@@ -96,7 +97,7 @@ def test_dry_run_says_which_loads_will_hang(tmp_path, capsys):
     arguments = [RECIPE, "--kt", KT, "-o", tmp_path / "r.h5", "--dry-run", *on_line]
     code, out, err = call(capsys, "fft-ripple", *arguments)
     assert code == 0, err
-    assert "At the bench: " in out
+    assert "At the bench:\n" in out
     assert "Load the shaft with 14 mN m (weight on a cord)" in out
 
 
@@ -221,7 +222,7 @@ def test_devices(tmp_path, capsys):
         code, out, err = call(
             capsys, "devices", "/dev/no-such", server.port, "--json", "--driver", "target"
         )
-    assert (code, err) == (5, "Error: /dev/no-such: cannot be asked\n")
+    assert (code, err) == (5, "Error: /dev/no-such: not queried, the reason is above\n")
     found = json.loads(out)["devices"]
     assert found[0]["problem"].startswith("cannot be opened: there is no such port")
     assert found[1]["driver"] == "target"

@@ -47,7 +47,7 @@ def test_a_linear_axis_has_metres():
     [
         (("mapping = 1", "mapping = 2"), "needs `mapping = 1`"),
         (("column = 1", "column = 0"), r"map:9: .*counted from 1"),
-        (('"mA"', '"horse"'), "unit: is no known unit: known are 1, %, s"),
+        (('"mA"', '"horse"'), "unit: is no known unit, got 'horse': known are 1, %, s"),
         (('comment = "%"', 'delimiter = ".."'), "one character"),
         (('comment = "%"', 'delimiter = ","\ndecimal = ","'), "both delimiter and decimal"),
         (("scale = 10", "scale = 0"), "nothing of the signal"),

@@ -22,6 +22,14 @@ def test_the_recipe_of_the_thesis_is_among_them_and_loads(tmp_path):
     assert recipe.rig.source == "virtual"
 
 
+def test_the_list_states_what_each_describes(capsys):
+    assert copied() == 0
+    shown = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    assert list(shown) == list(shipped.shipped_recipes())
+    assert shown["briaire-2006"] == "The rig of E. Briaire"
+    assert shown["import/odrive-slow"] == "One slow turn of a hobby motor"
+
+
 def test_a_file_that_exists_stays(tmp_path, capsys):
     path = tmp_path / "rig.toml"
     path.write_text("mine")

@@ -223,9 +223,10 @@ def full_outcome(
         rows.append(_row(blank, reading, sine, _also(mean, *known)))
     if len(reasons) == len(pairs) and not slow:
         raise InsufficientDataError(f"no load can be read: {reasons[0]}")
+    counted = "one recording" if len(zero) == 1 else f"{len(zero)} recordings"
     notes = (
         f"--correction full: loads read from whole strokes with the disturbance of "
-        f"{tables.path.name} taken off; zero from {len(zero)} recording(s)",
+        f"{tables.path.name} taken off; the zero is from {counted}",
         *(f"no value: {reason}" for reason in dict.fromkeys(reasons)),
         drift.remark,
         *base.notes,

@@ -380,12 +380,12 @@ def _notes(
 ) -> list[str]:
     low, high = reach.angle
     named = [*((s, STATE_NAMES[s]) for s in JUDGED_STATES), (CREEPING_KIND, "creeping")]
-    factors = ", ".join(f"{scales[s, 0]:.2f}, {scales[s, 1]:.1%} {name}" for s, name in named)
+    factors = ", ".join(f"{name} {scales[s, 0]:.2f} and {scales[s, 1]:.1%}" for s, name in named)
     notes = [
         f"torque was learned up to {reach.torque * 1e3:.4g} mN m, from {low:.4g} to {high:.4g} rad "
         f"of the motor, up to {reach.speed:.4g} rad/s; outside there is no value",
-        "u is what errors under the known loads show: the filter's deviation times a factor, and "
-        f"a share of the torque: {factors}",
+        "u is the filter's deviation times a factor, and a share of the torque, as errors under "
+        f"the known loads show: {factors}",
     ]
     if (outside := 1 - known.mean()) > 0:
         limit = any(part.limited for r in recordings for part in r.parts)

@@ -154,9 +154,14 @@ def fit_direction(
     """
     v, f, scatter = mean_by_speed(*require_signals(1, speed=speed, torque=torque, u=u))
     if len(v) < 3 or v.max() < 2 * v.min():
+        held = (
+            f"one speed, {v[0]:.3g} rad/s, does"
+            if len(v) == 1
+            else f"{len(v)} speeds from {v.min():.3g} to {v.max():.3g} rad/s do"
+        )
         raise InsufficientDataError(
-            f"{len(v)} speeds from {v.min():.3g} to {v.max():.3g} rad/s do not separate Coulomb "
-            "and viscous friction: measure 3 speeds or more over a factor of 2 or more"
+            f"{held} not separate Coulomb and viscous friction: measure 3 speeds or more over a "
+            "factor of 2 or more"
         )
     # Uncertainties from few degrees of freedom are uncertain themselves: weigh in the median.
     weight = 1 / np.sqrt((scatter**2 + np.median(scatter) ** 2) / 2 + 1e-30)

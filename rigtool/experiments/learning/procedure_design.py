@@ -207,15 +207,16 @@ def _origin(recipe: Recipe, plant: Run | None, learning: Learning) -> tuple[str,
     nominal = recipe.rig.nominal_inertia
     if plant is None:
         return (
-            "T is computed from the recipe's controller and its nominal inertia, "
-            f"{nominal:.4g} kg m2; the plant was not measured, so its uncertainty, and a bound "
-            "of the convergence criterion, are not known: give --plant",
+            "the loop's complementary sensitivity T is computed from the recipe's controller and "
+            f"nominal inertia, {nominal:.4g} kg m2. The plant was not measured: without --plant "
+            "its uncertainty, and a bound of the convergence criterion, are not known",
         )
     inertia, measured = plant.result("inertia"), learning.measured
     assert measured is not None
     u = "" if inertia.u is None else f" (u {inertia.u:.2g})"
     notes = [
-        f"T is computed from the recipe's controller and the measured plant ({plant.path.name}): "
+        f"the loop's complementary sensitivity T is computed from the recipe's controller and the "
+        f"measured plant ({plant.path.name}): "
         f"inertia {inertia.value:.5g}{u} kg m2, {100 * (inertia.value / nominal - 1):+.2g} % from "
         "the nominal one"
     ]

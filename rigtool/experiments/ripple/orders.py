@@ -206,10 +206,11 @@ class Spectrum:
             if not (self.amplitude > 0).any():
                 raise InsufficientDataError(f"no order has an amplitude: {NO_RESULT_REMEDY}")
             best = int(np.nanargmax(self.amplitude / self.noise_floor))
+            ratio = self.amplitude[best] / self.noise_floor[best]
             raise InsufficientDataError(
                 f"no order exceeds its noise floor by a factor of {SIGNIFICANT_RATIO:g}, order "
-                f"{self.order[best]:g} comes nearest with {self.amplitude[best]:.3g} of "
-                f"{self.noise_floor[best]:.3g}: average more revolutions"
+                f"{self.order[best]:g} comes nearest, at {ratio:.3g} times its own: average more "
+                "revolutions"
             )
         return int(self.order[clear[np.argmax(self.amplitude[clear])]])
 

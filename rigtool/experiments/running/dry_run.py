@@ -8,6 +8,7 @@ note.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -48,6 +49,7 @@ class MotionPlan:
     duration: float = 0.0
     motions: list[tuple[str, safety.Extremes]] = field(default_factory=list)
     bench_work: list[str] = field(default_factory=list)
+    temperatures: list[float] = field(default_factory=list)
     needs: dict[str, None] = field(default_factory=dict)
     complete: bool = True
 
@@ -68,13 +70,19 @@ class MotionPlan:
         count, total = len(self.motions), self.duration
         head = f"{count} motion{'s' if count != 1 else ''} to record, {total:.0f} s in all"
         parts = [head, *lines]
-        if self.bench_work:
-            parts.append(f"At the bench: {'; '.join(dict.fromkeys(self.bench_work))}")
+        if self.bench_work or self.temperatures:
+            parts += ["At the bench:", *(f"  {work}" for work in self._work())]
         if not self.complete:
             parts.append(
                 "Further motions depend on the results of these; the limits hold for all motions"
             )
         return "\n".join(parts)
+
+    def _work(self) -> list[str]:
+        """Return what the operator does, each once: temperatures, then all else."""
+        degc = ", ".join(f"{temperature:g}" for temperature in sorted(set(self.temperatures)))
+        soaks = [f"bring the motor to {degc} degC"] if degc else []
+        return [*soaks, *dict.fromkeys(self.bench_work)]
 
     def check(self, limits: Any) -> None:
         """Raise `RecipeError` for the first motion beyond the limits."""
@@ -121,7 +129,8 @@ class _Rehearsal(Rig):
                 task, self._position, self._rig.sample_time, self._torque_constant
             )
             self._position = found.end
-            self.plan.motions.append((type(task.motion).__name__, found))
+            name = re.sub(r"\B(?=[A-Z])", " ", type(task.motion).__name__).lower()
+            self.plan.motions.append((name, found))
         for need in _needs(task):
             self._need(need, None)
         if "load" in _needs(task):
@@ -167,7 +176,8 @@ class _Rehearsal(Rig):
 
     def soak(self, temperature_degc: float) -> None:
         """List a temperature."""
-        self._need("soak", f"bring the motor to {temperature_degc:g} degC")
+        self._need("soak", None)
+        self.plan.temperatures.append(temperature_degc)
 
     def power_cycle(self) -> None:
         """List a power cycle of the amplifier."""

@@ -345,8 +345,8 @@ def require_inputs(procedure: Procedure, inputs: Mapping[str, Run]) -> None:
     for name in procedure.needed:
         if name not in inputs:
             raise UsageError(
-                f"--{name} is missing: {procedure.command} needs it, unless all "
-                "sources are imported runs"
+                f"--{name} is missing: {procedure.command} needs the run of calibrate-kt, unless "
+                "all sources are imported runs"
             )
 
 

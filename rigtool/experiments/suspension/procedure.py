@@ -96,7 +96,7 @@ def _described(recipe: Recipe) -> MotorSuspension:
     if recipe.rig.suspension is None:
         raise RecipeError(
             "the recipe has no table [rig.suspension] with the dimensions of the leaf springs: "
-            "add one; recipes/briaire-2006.toml shows it"
+            "add one; `rigtool recipe briaire-2006` shows it"
         )
     return recipe.rig.suspension
 

@@ -207,7 +207,7 @@ def _current(recording: Recording) -> str:
         return "current"
     if recording.has("current_setpoint"):
         return "current_setpoint"
-    raise RunFileError(f"{recording.name}: holds no current: map `current` or `current_setpoint`")
+    raise RunFileError(f"{place(recording)}: holds no current: map `current` or `current_setpoint`")
 
 
 def _sensor(recording: Recording) -> tuple[Array, float, str]:
@@ -220,7 +220,7 @@ def _sensor(recording: Recording) -> tuple[Array, float, str]:
     if recording.has("force") and length is not None:
         return recording.read("force"), length, "force, times arm_length"
     raise RunFileError(
-        f"{recording.name}: holds no torque of a sensor: map `reference_torque` or `torque`, or "
+        f"{place(recording)}: holds no torque of a sensor: map `reference_torque` or `torque`, or "
         "`force` with arm_length in [rig]"
     )
 

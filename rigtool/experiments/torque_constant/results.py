@@ -148,7 +148,7 @@ def _notes(
     else:
         notes.extend(_extrapolation(found, range_degc))
     if found.rotor_angles < 3:
-        known = f"{found.rotor_angles} rotor angles" if found.rotor_angles else "unknown angles"
+        known = ("unknown angles", "one rotor angle", "2 rotor angles")[found.rotor_angles]
         notes.append(
             f"measured at {known}: the amplifier's ripple does not average out, and its part of "
             "the uncertainty is missing; clamp the arm at 8 angles around the turn"

@@ -74,7 +74,7 @@ def first_ripple(slopes: Slopes) -> Quantity:
     own = float(np.mean(slopes.first_u**2))
     square = max(float(rest @ rest) / free - own, 0.0) + own * math.sqrt(2 / free)
     ripple = math.sqrt(square) / abs(float(np.mean(slopes.first)))
-    return Quantity(ripple, "1", reason="a size of what single staircases show")
+    return Quantity(ripple, "1", reason="a measure of scatter itself")
 
 
 def _carried(slopes: Slopes) -> tuple[Array, float, float]:

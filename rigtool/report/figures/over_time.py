@@ -101,4 +101,6 @@ def _torque_and_error(time: Array, signals: dict[str, Array]) -> style.Figure:
 
 
 def _band(axes: style.Axes, time: Array, low: Array, high: Array) -> None:
-    axes.fill_between(time, low, high, color=style.SKY, alpha=0.4, linewidth=0, label="95 %")
+    axes.fill_between(
+        time, low, high, color=style.SKY, alpha=0.4, linewidth=0, label="95 % interval"
+    )

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from rigtool.errors import RecipeError
+from rigtool.errors import RecipeError, did_you_mean
 from rigtool.plugins import load_entry_point, plugins
 
 if TYPE_CHECKING:
@@ -78,9 +78,10 @@ def driver(name: str) -> Driver:
         return importlib.import_module(DRIVER_MODULES[name]).DRIVER
     added = plugins(DRIVER_ENTRY_POINTS, frozenset({*DRIVER_MODULES, REPLAY_DRIVER}))
     if name not in added:
+        known = [*driver_names(), REPLAY_DRIVER]
         raise RecipeError(
-            f"serial.driver {name!r} is unknown: use one of "
-            f"{', '.join([*driver_names(), REPLAY_DRIVER])}, or install the package that adds it"
+            f"serial.driver {name!r} is unknown: use one of {', '.join(known)}, or install the "
+            f"package that adds it; {did_you_mean(name, known)}".removesuffix("; ")
         )
     return load_entry_point(added[name], Driver)
 

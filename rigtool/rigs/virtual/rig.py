@@ -56,8 +56,8 @@ class VirtualRig(Rig):
     def __init__(self, recipe: Recipe, torque_constant: float, stream: str) -> None:
         if recipe.virtual is None:
             raise RecipeError(
-                'rig.source is "virtual" and there is no table [virtual]; '
-                "recipes/briaire-2006.toml shows one"
+                "the recipe has no table [virtual], which describes the simulated rig: add one; "
+                "`rigtool recipe briaire-2006` shows it"
             )
         self._virtual: Virtual = recipe.virtual
         self._rig = true_rig(recipe.rig, recipe.virtual)
@@ -237,7 +237,7 @@ class VirtualRig(Rig):
             if not np.isfinite(moving).all():
                 raise RecipeError(
                     "the equations of [virtual] left all bounds while they were simulated: its "
-                    "values are beyond any rig; compare them with recipes/briaire-2006.toml"
+                    "values are beyond any rig; compare them with `rigtool recipe briaire-2006`"
                 )
             if closed_loop:
                 self._setpoint = float(self._state["setpoint"][0])

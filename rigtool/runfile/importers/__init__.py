@@ -138,8 +138,20 @@ def _all_bad(bad: MappingType[Path, RunFileError], count: int) -> RunFileError:
     remedy = (
         'correct them, state in the mapping which files it is for (files = "*.csv"), or go on '
         "without them by --skip-bad-files"
+        if len(bad) < count
+        else "correct the files or the mapping; --skip-bad-lines leaves bad lines out"
     )
-    return RunFileError("\n".join([head, *(f"  {first_of(bad[path])}" for path in bad), remedy]))
+    paths: dict[str, list[str]] = {}  # of each reason
+    for path, error in bad.items():
+        reason = first_of(error).removeprefix(str(path))
+        paths.setdefault(reason if reason.startswith(":") else first_of(error), []).append(
+            str(path)
+        )
+    lines = [
+        f"  {', '.join(named)}{reason}" if reason.startswith(":") else f"  {reason}"
+        for reason, named in paths.items()
+    ]
+    return RunFileError("\n".join([head, *lines, remedy]))
 
 
 def first_of(error: RunFileError) -> str:
@@ -261,9 +273,14 @@ def _read(source: Path, mapping: Mapping | None, skip_bad: bool) -> tuple[Raw, M
                 f"{source}: importer {name} fails at it: {type(error).__name__}: {error}"
             ) from error
     if mapping is None or not mapping.signals:
+        if source.suffix == ".h5":
+            raise RunFileError(
+                f"{source}: ends in .h5, as run files do, which need no import: `rigtool info` "
+                "shows one; for another file of HDF5 give --map"
+            )
         raise RunFileError(
             f"{source}: does not state the meaning of its columns: give --map with a mapping file "
-            "that has [signals]; recipes/import holds examples"
+            "that has [signals]; --preview shows one to fill in"
         )
     if is_binary(source):
         return read_arrays(source, mapping.file.variable, mapping.columns, skip_bad), mapping, []
@@ -305,7 +322,8 @@ def _left_out_note(raw: Raw) -> str | None:
         f"{raw.what} {number}: {raw.left_out[number]}" for number in numbers[:LINES_NAMED]
     )
     more = f"; and {len(numbers) - LINES_NAMED} more" if len(numbers) > LINES_NAMED else ""
-    return f"{len(numbers)} bad {raw.what}s were left out: {listed}{more}"
+    were = f"{raw.what} was" if len(numbers) == 1 else f"{raw.what}s were"
+    return f"{len(numbers)} bad {were} left out: {listed}{more}"
 
 
 def _import_map(

@@ -17,16 +17,20 @@ Also as Python prints dictionaries: `'a': np.float64(0.5)`, `<Register.POSITION:
 """
 
 
+def names_in(lines: Lines) -> list[str]:
+    """Return the names that numbers follow, in a line in the middle; none where it has no such."""
+    middle = lines.text[len(lines.text) // 2] if lines.text else ""
+    return list(dict.fromkeys(name for name, _ in _LABELLED.findall(middle)))
+
+
 def labelled(lines: Lines, wanted: set[str]) -> tuple[list[str], Lines, Marks] | None:
     """Return the names, and the values in columns, where a line in the middle names all wanted.
 
     What stands before the first line with names is left out. A line without one of them has a blank
     there.
     """
-    if not wanted or not lines.text:
-        return None
-    names = [name for name, _ in _LABELLED.findall(lines.text[len(lines.text) // 2])]
-    if not wanted <= set(names):
+    names = names_in(lines)
+    if not wanted or not wanted <= set(names):
         return None
     rows = [dict(_LABELLED.findall(line)) for line in lines.text]
     first = next(at for at, row in enumerate(rows) if wanted & row.keys())

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from collections.abc import Mapping as Texts
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +21,7 @@ from rigtool.runfile.importers.header import (
     require_lines_of_samples,
     split_lines,
 )
+from rigtool.runfile.importers.labels import names_in
 from rigtool.runfile.importers.marks import marks_of, split_fields
 from rigtool.runfile.importers.plan import find_files, is_binary
 from rigtool.runfile.importers.raw import Array, read_bytes
@@ -34,6 +37,12 @@ NAME_LINES = 2
 
 GAP_RATIO = 1.5
 """Smallest interval that is a gap, relative to the median."""
+
+SHOWN_SIGNALS = 8
+"""Most signals of the mapping that is proposed."""
+
+COMMON_NAMES = ("encoder", "position", "speed", "current", "torque", "reference_torque")
+"""Names of signals that most files hold, for a reader who meets them for the first time."""
 
 
 def preview(sources: Sequence[str], mapping: Mapping | None, skip_bad: bool) -> list[str]:
@@ -90,12 +99,14 @@ def _rate(time: Array, steps: Array) -> str:
 
 
 def _columns(source: Path, mapping: Mapping | None) -> list[str]:
-    """Return what a file shows that no mapping states the columns of."""
-    remedy = "no mapping states columns: write [signals] for these, and give it by --map"
+    """Return what a file shows that no mapping states the columns of, and a mapping to fill in."""
     if is_binary(source):
         arrays = load_arrays(source)
         what = {n: repr(a) if isinstance(a, str) else str(np.shape(a)) for n, a in arrays.items()}
-        return [*(f"{name or 'array'}: {text}" for name, text in what.items()), remedy]
+        return [
+            *(f"{name or 'array'}: {text}" for name, text in what.items()),
+            *_proposed(_quoted(filter(None, what)), {}),
+        ]
     layout = FileLayout() if mapping is None else mapping.file
     lines = split_lines(decoded_text(source, read_bytes(source)), layout.comment)
     require_lines_of_samples(source, lines)
@@ -104,18 +115,56 @@ def _columns(source: Path, mapping: Mapping | None) -> list[str]:
     count = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
     begin = before_numbers(lines, marks, range(count))
     if begin == len(rows):
-        return [f"{len(rows)} lines, none of numbers; delimiter = {marks.delimiter!r}", remedy]
+        lines_of = "1 line" if len(rows) == 1 else f"{len(rows)} lines"
+        if labels := names_in(lines):
+            return [f"{lines_of} of names and numbers", *_proposed(_quoted(labels), {})]
+        return [f"{lines_of}, none of numbers; delimiter = {marks.delimiter!r}"]
     shown = [[str(number) for number in range(1, count + 1)]]
     shown += [
         [field[:FIELD_WIDTH] for field in row]
         for row in [*rows[max(0, begin - NAME_LINES) : begin], *rows[begin : begin + PREVIEW_ROWS]]
         if len(row) == count
     ]
+    numbers = shown[0]
+    names = dict(zip(numbers, rows[begin - 1], strict=False)) if begin else {}
     return [
         f"{len(rows)} lines, numbers from line {lines.number[begin]} on; "
         f"delimiter = {marks.delimiter!r}, decimal = {marks.decimal!r}; columns by number:",
         *_aligned(shown),
-        remedy,
+        *_proposed(numbers, names),
+    ]
+
+
+def _quoted(names: Iterable[str]) -> list[str]:
+    return [json.dumps(name, ensure_ascii=False) for name in names]
+
+
+def _proposed(columns: Sequence[str], names: Texts[str, str]) -> list[str]:
+    """Return a mapping in which names and units of these columns are to be filled in.
+
+    `names` are those that the file gives to columns, where they are numbers.
+    """
+    lines = []
+    for index, column in enumerate(columns[:SHOWN_SIGNALS] or ["1"]):
+        name, unit = (f"NAME{index + 1}", "UNIT") if index else ("time", "s")
+        line = f'{name} = {{ column = {column}, unit = "{unit}" }}'
+        remark = names.get(column, "").strip()[:FIELD_WIDTH]
+        lines.append(f"{line}  # {remark}" if remark else line)
+    if len(columns) > SHOWN_SIGNALS:
+        lines.append(f"# and so on: the file has {len(columns)} columns")
+    return [
+        "",
+        "A mapping states what the columns mean. Fill this one in, and give it by --map:",
+        "",
+        "mapping = 1",
+        "[rig]",
+        'name = "my rig"',
+        "[signals]",
+        *lines,
+        "",
+        f"NAME is a signal: {', '.join(COMMON_NAMES)},",
+        "or any other; UNIT is that of the file: ms, rpm, count, mA, N m. Leave out what is not",
+        "needed.",
     ]
 
 

@@ -165,7 +165,8 @@ def read_numbers(
         hint = f"delimiter = {shown.delimiter!r} and decimal = {shown.decimal!r} in [file]"
         raise RunFileError(f"{error}; its lines look like {hint}") from None
     bad = {
-        number: f"has {count} fields, the others have {usual}: it was cut short or joined"
+        number: f"has {count} {'field' if count == 1 else 'fields'}, the others have {usual}: "
+        "it was cut short or joined"
         for number, count in zip(lines.number, counts, strict=True)
         if count != usual
     }

@@ -45,8 +45,8 @@ def test_without_a_plant_the_nominal_inertia_and_no_bound():
     assert np.isnan(found.tables()["convergence"]["bound"]).all()
     assert "convergence_bound" not in found.results()
     (note,) = found.origin
-    assert "nominal inertia, 1.503e-05 kg m2; the plant was not measured" in note
-    assert "give --plant" in note
+    assert "nominal inertia, 1.503e-05 kg m2. The plant was not measured" in note
+    assert "without --plant" in note
 
 
 @pytest.mark.parametrize("kind", ["zpetc", "frf"])

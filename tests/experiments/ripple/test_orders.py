@@ -164,7 +164,7 @@ def test_the_strongest_order_is_one_that_noise_does_not_explain():
     amplitude, floor = np.array([0.6, 0.2, np.nan, 0.9]), np.array([0.05, 0.01, np.nan, 0.5])
     found = Spectrum(np.arange(1.0, 5), amplitude, np.zeros(4), floor)
     assert found.strongest() == 1
-    with pytest.raises(InsufficientDataError, match=r"order 2 comes nearest with 0\.2 of 0\.2:"):
+    with pytest.raises(InsufficientDataError, match="order 2 comes nearest, at 1 times its own:"):
         Spectrum(np.arange(1.0, 5), amplitude, np.zeros(4), floor * 20).strongest()
     for nothing in (np.zeros(4), np.full(4, np.nan)):
         with pytest.raises(InsufficientDataError, match="no order has an amplitude"):

@@ -122,14 +122,14 @@ class TargetRig(SerialRig):
                 f"{self.line.port}: the target speaks version {hello.version} of the link, this "
                 f"rigtool version {link.VERSION}: update the older one"
             )
-        for what, own, theirs in (
-            ("sample_time", rig.sample_time, hello.sample_time),
-            ("encoder_counts", rig.encoder_counts, hello.encoder_counts),
+        for what, own, theirs, unit in (
+            ("sample_time", rig.sample_time, hello.sample_time, " s"),
+            ("encoder_counts", rig.encoder_counts, hello.encoder_counts, ""),
         ):
             if not math.isclose(own, theirs, rel_tol=1e-9):
                 raise RecipeError(
-                    f"rig.{what} is {own:g} in the recipe and {theirs:g} in the target: correct "
-                    "the recipe"
+                    f"rig.{what} is {own:g}{unit} in the recipe and {theirs:g}{unit} in the "
+                    "target: correct the recipe"
                 )
 
     def _halt(self) -> None:
