@@ -26,15 +26,17 @@ KAISER_BETA = 10.0
 
 
 class Decimator:
-    """Decimates several signals by `factor`, block by block."""
+    """Decimates several signals of `samples` each by `factor`, block by block."""
 
-    def __init__(self, factor: int, signals: int) -> None:
+    def __init__(self, factor: int, signals: int, samples: int) -> None:
         self._factor = factor
         self._taps = _taps(factor)
         self._samples = 0
         self._buffer = np.empty((signals, 0))
         self._waiting = self._buffer
-        self._found: list[Array] = []
+        # As large as it will be: parts that are joined at the end would be in memory twice.
+        self._found = np.empty((signals, -(-samples // factor)))
+        self._count = 0
 
     def add(self, *signals: Array) -> None:
         """Take the next samples, (n,) of each signal."""
@@ -64,8 +66,7 @@ class Decimator:
             last = self._waiting[:, -reach - 1 :].copy()
             self._append(tuple(2 * last[:, -1:] - last[:, -2::-1]))
             self._filter()
-        found = np.concatenate([self._buffer[:, :0], *self._found], axis=1)
-        return found[:, : -(-self._samples // self._factor)]
+        return self._found[:, : -(-self._samples // self._factor)]
 
     def _append(self, signals: Sequence[Array], *, in_front: bool = False) -> None:
         """Append samples to the waiting ones, or prepend them, in a buffer that is reused."""
@@ -85,7 +86,7 @@ class Decimator:
         signals, size = self._waiting.shape
         if self._factor == 1:
             count = size
-            self._found.append(self._waiting.copy())
+            self._keep(self._waiting)
         else:
             rows = size // self._factor
             count = max(0, rows - 2 * HALF_LENGTH + 1)
@@ -96,10 +97,16 @@ class Decimator:
             found = parts[:, :count, 0].copy()
             for row in range(1, 2 * HALF_LENGTH):
                 found += parts[:, row : row + count, row]
-            self._found.append(found)
+            self._keep(found)
         left = size - count * self._factor
         self._buffer[:, :left] = self._waiting[:, size - left :].copy()
         self._waiting = self._buffer[:, :left]
+
+    def _keep(self, found: Array) -> None:
+        """Keep new samples; behind the last one, the extension of the signal has some more."""
+        kept = self._found[:, self._count :][:, : found.shape[1]]
+        kept[:] = found[:, : kept.shape[1]]
+        self._count += kept.shape[1]
 
 
 def _taps(factor: int) -> Array:

@@ -49,22 +49,22 @@ def folder(tmp_path_factory):
     return found
 
 
-def test_a_table_that_does_not_fit_is_told_written_and_exits_with_4(rigtool):
+def test_a_table_that_does_not_fit_is_reported_written_and_exits_with_4(rigtool):
     check = ["ilc-learn", RECIPE, "--kt", "kt.h5", "--check", "tables.h5", "-o", "check.h5"]
     done = rigtool(*check, *SETTINGS, "--set", "virtual.power_cycle=1", "--json")
     assert done.returncode == 4, done.stderr
     assert json.loads(done.stdout)["results"]["table_fits"]["value"] == 0
     assert done.stderr.startswith("Error: the table does not fit")
     assert "Traceback" not in done.stderr
-    told = rigtool("info", "check.h5", "--json")
-    stored = json.loads(told.stdout)
+    reported = rigtool("info", "check.h5", "--json")
+    stored = json.loads(reported.stdout)
     assert stored["results"]["table_fits"]["value"] == 0
     assert stored["notes"][0] in done.stderr
     again = rigtool(
         "ilc-learn", "check.h5", "--kt", "kt.h5", "--check", "tables.h5", "-o", "again.h5"
     )
     assert again.returncode == 4
-    assert again.stderr.count("does not fit") == 1  # the reason is told once
+    assert again.stderr.count("does not fit") == 1  # the reason is reported once
     assert "table_fits" in again.stdout
     refused = rigtool(*check, *SETTINGS)
     assert refused.returncode == 2

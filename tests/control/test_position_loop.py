@@ -146,7 +146,7 @@ def test_polynomials_in_z_come_back(num, den):
     np.testing.assert_allclose(system.response(FREQUENCY)[far], expected[far], rtol=1e-9, atol=1e-9)
 
 
-def test_an_unstable_loop_is_told():
+def test_an_unstable_loop_is_reported():
     assert not position_loop(**{**THESIS, "lead_ratio": 1.01, "integrator_hz": 100.0}).stable
 
 

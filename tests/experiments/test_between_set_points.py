@@ -22,11 +22,11 @@ KT = RECIPE.parents[1] / "tests" / "fixtures" / "kt.h5"
 def line(*found):
     """Return a run whose rig looked at these (speed rad/s, lacking current A, its u A)."""
     names = ("speed", "lacking_current", "u")
-    told = [dict(zip(names, item, strict=True)) | {"readings": 20} for item in found]
-    return SimpleNamespace(provenance={"line": json.dumps({"between_set_points": told})})
+    reported = [dict(zip(names, item, strict=True)) | {"readings": 20} for item in found]
+    return SimpleNamespace(provenance={"line": json.dumps({"between_set_points": reported})})
 
 
-def test_the_largest_difference_is_told_with_its_torque():
+def test_the_largest_difference_is_reported_with_its_torque():
     (text,) = unsampled_note([line((3.0, 2e-3, 1e-4)), line((12.0, -8e-3, 1e-4))], 0.05)
     assert "up to -8 mA" in text
     assert "0.4 mN m, at 12 rad/s" in text
@@ -71,8 +71,8 @@ def test_what_is_not_known_of_a_difference_counts_too():
 
 def test_steps_of_position_that_were_not_looked_at_are_refused():
     run = line((12.0, 1e-3, 1e-5))
-    told = json.loads(run.provenance["line"]) | {"steps_in_position": True}
-    run.provenance["line"] = json.dumps(told)
+    reported = json.loads(run.provenance["line"]) | {"steps_in_position": True}
+    run.provenance["line"] = json.dumps(reported)
     assert UnsampledCurrent.of([run]).at(12.0) == pytest.approx(1e-3, rel=1e-4)
     with pytest.raises(InsufficientDataError, match=r"at 20 rad/s was read too rarely"):
         UnsampledCurrent.of([run]).at(20.0)

@@ -69,7 +69,7 @@ def test_a_loop_that_saturates_is_refused(tmp_path):
         recorded(tmp_path / "run.h5", asked=limit)
 
 
-def test_a_loop_that_shakes_to_the_limit_is_not_told_to_carry_less():
+def test_a_loop_that_shakes_to_the_limit_is_not_advised_to_carry_less():
     recipe, _ = load_recipe(RECIPE)
     limit = recipe.rig.current_limit
     require_unlimited(0.99 * limit, recipe, "turn more slowly", 0.0)

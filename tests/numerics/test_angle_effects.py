@@ -1,4 +1,4 @@
-"""Values that depend on the rotor's angle: what few angles can and cannot tell."""
+"""Values that depend on the rotor's angle: what few angles can and cannot show."""
 
 import numpy as np
 import pytest

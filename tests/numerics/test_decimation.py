@@ -10,7 +10,7 @@ from rigtool.numerics.decimation import Decimator
 
 
 def decimated(signals, factor, sizes=()):
-    collected = Decimator(factor, len(signals))
+    collected = Decimator(factor, *signals.shape)
     start = 0
     for size in (*sizes, signals.shape[1]):
         collected.add(*signals[:, start : start + size])

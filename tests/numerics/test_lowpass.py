@@ -50,7 +50,7 @@ def test_thinned_out_signals_give_what_all_samples_give(highest, tolerance):
     time = np.arange(32_000) / rate
     tones = np.sin(2 * np.pi * np.outer(np.linspace(0.2, highest, 60), time) + 0.4)
     whole = lowpass(rate, tones, cutoff)[:, ::factor]
-    collected = Decimator(factor, len(tones))
+    collected = Decimator(factor, *tones.shape)
     collected.add(*tones)
     thinned = lowpass(rate / factor, collected.finish(), cutoff)
     middle = slice(500, -500)  # a second: a tone that is cut is none at its ends

@@ -1,4 +1,4 @@
-"""Mappings: mistakes are told together, names mean what they mean elsewhere."""
+"""Mappings: mistakes are reported together, names mean what they mean elsewhere."""
 
 import re
 from pathlib import Path

@@ -16,7 +16,7 @@ def test_every_recipe_loads(path):
     assert recipe.rig.name == path.stem or path.stem.startswith(("maxon", "briaire"))
 
 
-def test_what_would_move_on_ones_own_target_is_told(tmp_path, capsys):
+def test_what_would_move_on_ones_own_target_is_reported(tmp_path, capsys):
     recipe = RECIPES / "own-target.toml"
     code, out, err = call(capsys, "calibrate-kt", recipe, "--dry-run", "-o", tmp_path / "a.h5")
     assert code == 0, err

@@ -1,4 +1,4 @@
-"""What a recipe may say of contacts and hands, and what it is told about mistakes."""
+"""What a recipe may say of contacts and hands, and which mistakes are reported."""
 
 from pathlib import Path
 

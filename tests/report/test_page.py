@@ -83,7 +83,7 @@ def test_the_page_as_pdf_is_the_same_each_time():
     assert render_pdf(page) == first
 
 
-def test_without_the_printer_the_remedy_is_told(monkeypatch):
+def test_without_the_printer_the_remedy_is_reported(monkeypatch):
     monkeypatch.setitem(sys.modules, "weasyprint", None)
     with pytest.raises(UsageError, match=r"pip install rigtool\[pdf\]"):
         require_pdf()

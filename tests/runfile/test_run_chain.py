@@ -181,7 +181,7 @@ def test_a_run_does_not_differ_from_itself(tmp_path):
         ),
     ],
 )
-def test_each_difference_is_told(tmp_path, what, expected):
+def test_each_difference_is_reported(tmp_path, what, expected):
     path = write(tmp_path / "a.h5", size=9000)
     found = lines(path, changed(tmp_path, **what))
     assert expected in found

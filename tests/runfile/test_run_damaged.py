@@ -95,7 +95,7 @@ def test_damaged_files(small_run, tmp_path, seeds):
         assert found in (None, expected), seed
         outcomes["refused" if found is None else "the same"] += 1
     assert sum(outcomes.values()) == len(seeds)
-    # Both must happen, or the test would not tell one from the other.
+    # Both must happen, or the test would not distinguish the two.
     assert outcomes["refused"] > len(seeds) / 2
     assert outcomes["the same"] > 5
 

@@ -76,7 +76,7 @@ def call(line: list[str]) -> int:
 
 
 def report_syncs(log: int) -> None:
-    """Let every writer tell the samples of each recording to `log` after each sync."""
+    """Let every writer report the samples of each recording to `log` after each sync."""
     sync = RunWriter._sync
 
     def reporting(self: RunWriter, force: bool = False) -> None:
@@ -101,7 +101,7 @@ class Acquisition:
 
 
 def acquire(line: list[str], kill_after: int | None = None, pause: float = 0.0) -> Acquisition:
-    """Run a command in a process of its own; kill it `pause` s after so many syncs, if told.
+    """Run a command in a process of its own; kill it `pause` s after so many syncs, if reported.
 
     A fork has everything imported and compiled: what is left to kill is the acquisition.
     """

@@ -37,20 +37,16 @@ def read_load(
     """
     settings, rig = recipe.measure_force, recipe.rig
     with naming(recording):
-        (position, controller, table, modelled), rate = _filtered(recording, recipe)
+        signals, rate = _filtered(recording, recipe)
+        signals[1:] *= torque_constant  # in place: an hour has 20 MB a signal
+        position, torque, feedforward, modelled = signals
+        torque *= rig.torque_factor
+        modelled *= rig.torque_factor
         cycles = find_cycles(position)
         angle = position * (2 * math.pi / rig.encoder_counts) / rig.angle_ratio
-        torque = rig.torque_factor * (torque_constant * controller)
         method = (
             lacking,
-            unsteady_torque(
-                angle,
-                torque,
-                rig.torque_factor * (torque_constant * modelled),
-                rate=rate,
-                cycles=cycles,
-                recipe=recipe,
-            ),
+            unsteady_torque(angle, torque, modelled, rate=rate, cycles=cycles, recipe=recipe),
             resolution_u(recording, recipe, torque_constant),
         )
         values = readings(angle, torque, cycles, math.radians(settings.measure_angle))
@@ -60,7 +56,7 @@ def read_load(
         asked_cycles=round(recording.condition("cycles")),
         position=position,
         torque=torque,
-        feedforward=torque_constant * table,
+        feedforward=feedforward,
         cycles=cycles,
         values=values,
         method_u=math.hypot(*method),
@@ -75,7 +71,7 @@ def _filtered(recording: Recording, recipe: Recipe) -> tuple[Array, float]:
     """
     cutoff = recipe.measure_force.lowpass_hz
     rate, last, samples = _rate(recording), np.zeros(0), 0
-    collected = Decimator(factor := kept_factor(rate, cutoff), 4)
+    collected = Decimator(factor := kept_factor(rate, cutoff), 4, recording.size)
     for block in loop_blocks(recording, recipe):
         rising_steps(np.concatenate([last, block.time]), samples - last.size)
         last, samples = block.time[-1:], samples + block.time.size

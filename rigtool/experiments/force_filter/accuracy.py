@@ -24,8 +24,8 @@ JUDGED_STATES = (State.AGAINST, State.WITH, State.REVERSED, State.STILL)
 
 @dataclass(frozen=True)
 class Accuracy:
-    """`share` of the samples with a value; root mean square and mean of the error, N m; share of
-    the samples whose interval holds the reference. NaN without samples."""
+    """`share` of all samples with a value that are among these; root mean square and mean of the
+    error, N m; share of these samples whose interval holds the reference. NaN without samples."""
 
     share: float
     rmse: float

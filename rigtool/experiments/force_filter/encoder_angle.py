@@ -1,12 +1,18 @@
 """The angle between an encoder's counts: from the instants of its edges while it is slow.
 
-An encoder that shows floor(angle / count) is exact at its edges. A recorded sample that is the mean
-of some samples of the loop keeps the instant of a single edge within it: the part of the samples
-behind the edge. Where edges follow each other faster, the mean itself, half a count up, is the
-angle at the middle. A rotor that turns within a count, between two passages of one edge, is half a
-count beyond that edge in the middle: as often more as less. Without that both ends of a stroke are
-up to a count short. Between these points the angle is interpolated monotonically (F. N. Fritsch and
-R. E. Carlson, SIAM J. Numer. Anal. 17(2) 238-246, 1980).
+An encoder that shows floor(angle / count) is exact at its edges. The angle is known at these
+points:
+
+- A recorded sample that is the mean of some samples of the loop keeps the instant of a single edge
+  within it: the part of the samples behind the edge.
+- Where edges follow each other faster, the mean itself, half a count up, is the angle at the
+  middle.
+- A rotor that turns within a count, between two passages of one edge, is taken half a count beyond
+  that edge in the middle of the time between: it is as often more as less. The edge itself would
+  make both ends of a stroke up to a count short.
+
+Between them the angle is interpolated monotonically (F. N. Fritsch and R. E. Carlson, SIAM J.
+Numer. Anal. 17(2) 238-246, 1980).
 """
 
 from __future__ import annotations

@@ -2,12 +2,12 @@
 
 A step of the filter is `step_samples` samples long; its angle is that of the first sample after
 it, so that step k is the estimate at the end of its samples. Both forms have the same equations
-(`plant`, `kalman`); the smoothed one runs them backwards (`smoother`, Bryson and Frazier 1963),
+(`plant`, `kalman`). The smoothed form runs them backwards (`smoother`, Bryson and Frazier 1963),
 each time over `BLOCK` and the `AHEAD` that follows it.
 
-A step of the torque shows some time after it began. What is smoothed is therefore filtered once
-more, with the noise of the torque open `ONSET_TIME` it showed (`Again`): a random walk without
-jumps spreads a load that comes at rest over the rest before it.
+A step of the torque shows some time after it began. The smoothed form therefore rests on a second
+filter, which raises the noise of the torque `ONSET_TIME` before the step showed (`Again`): a random
+walk without jumps would spread a load that comes at rest over the rest before it.
 """
 
 from __future__ import annotations
@@ -30,22 +30,23 @@ PIECE_STEPS = 8192
 """Steps that are filtered at a time where the smoother keeps what the filter did."""
 
 ONSET_TIME = 30e-3
-"""Time that a change of the torque takes to show, s."""
+"""Time from a change of the torque until it shows, s."""
 
 REST_TIME = 0.25
-"""Rest within a count, s, in which a load that changes may not show."""
+"""Rest within a count, s, from which on a change of the load may not show."""
 
 UNLIKE = 1.5
-"""Standard deviations that the torque before and after such a rest differs by if it changed."""
+"""Standard deviations by which the torques before and after such a rest differ if it changed."""
 
 BLOCK, AHEAD = 64.0, 20.0
-"""Time that is smoothed at once, and what must follow it, s: with 20 s, what follows later changes
-the torque by less than 1e-4 of its deviation, with 10 s by up to 0.7 where the rotor rests long."""
+"""Time that is smoothed at once, and the time that must follow it, s. With 20 s, later samples
+change the torque by less than 1e-4 of its deviation; with 10 s, by up to 0.7 of it in long
+rests."""
 
 
 IDLE_TIME = 0.25
-"""Time without a current, s, from which on a motor is not driven: more than a controller's current
-takes to pass zero where the motion turns around."""
+"""Time without a current, s, from which on a motor is not driven. The current of a controller
+passes zero in less where the motion turns around."""
 
 
 def idle_steps(step_time: float) -> int:
@@ -55,7 +56,7 @@ def idle_steps(step_time: float) -> int:
 
 @dataclass(frozen=True)
 class Signals:
-    """What is known of each of n samples.
+    """The input of the filter at each of n samples.
 
     `drive_torque` (n,) is what current and position give [N m], `viscous` (n,) the bearings'
     viscous friction [N m s/rad], `low` (n,) the lower edge of the count that the angle is in [rad],
@@ -76,7 +77,7 @@ class Estimate:
     deviation, both N m, the level of the torque's noise, and gains, (m, 9).
 
     `low` (m,) rad is the count's edge after each, `idle` (m,) where the motor has had no current
-    for `IDLE_TIME`, `kept` what the smoother needs of the steps, None where it was not asked for.
+    for `IDLE_TIME`, `kept` what the smoother needs of the steps, None unless requested.
     """
 
     states: Array
@@ -103,7 +104,7 @@ class Estimate:
 
     @property
     def gains(self) -> Array:
-        """What a radian of the angle changed the states `kalman.FOLLOWED` by, (m, 6)."""
+        """Change of the states `kalman.FOLLOWED` for each radian of the angle, (m, 6)."""
         return self.outputs[:, kalman.FIRST_GAIN :]
 
 
@@ -121,7 +122,7 @@ class Filter:
         self._waiting: Signals | None = None
         self._state: NDArray[np.void] | None = None
         self._idle_steps = idle_steps(step_samples * plant.sample_time)
-        self._idle = self._idle_steps  # as if it had been so before
+        self._idle = self._idle_steps  # as if there had been no current before
 
     @property
     def last_deviation(self) -> float:
@@ -140,8 +141,8 @@ class Filter:
     ) -> Estimate:
         """Return the estimate after every step that these samples complete, m of them.
 
-        `less` (m,) N m is taken off the drive torque in each; `least` (m,) are the lowest levels of
-        the torque's noise.
+        `less` (m,) N m is subtracted from the drive torque in each; `least` (m,) are the lowest
+        levels of the torque's noise.
         """
         if self._waiting is not None:
             signals = _joined(self._waiting, signals)
@@ -183,8 +184,8 @@ class Filter:
         return found
 
     def _still_idle(self, idle: Mask | None, count: int) -> Mask:
-        """Return in which steps (count,) the motor has had no current for `IDLE_TIME`, from samples
-        (n,) without one: a current that passes zero is none for moments only."""
+        """Return the steps (count,) in which the motor has had no current for `IDLE_TIME`, from the
+        samples without one (n,): a current that passes zero is absent for moments only."""
         if idle is None or not count:
             return np.zeros(count, dtype=np.bool_)
         size, step = self._size, np.arange(1, count + 1)
@@ -196,11 +197,13 @@ class Filter:
 
 
 class Again:
-    """The filter once more, behind, for the smoother; samples are added as they come.
+    """The second filter, for the smoother; it runs behind the first one. Samples are added as they
+    come.
 
-    The torque's noise is open from `ONSET_TIME` before the first filter opened it; and about the
-    end of a rest within a count of `REST_TIME` after which the first filter finds another torque:
-    the load that changed moved the rotor, while the noise of the rest would spread it over that.
+    The noise of the torque is raised from `ONSET_TIME` before the first filter raised it. It is
+    also raised about the end of a rest of `REST_TIME` within a count, if the first filter finds
+    another torque afterwards: a changed load moved the rotor, and the low noise of the rest would
+    spread the change over the rest.
     """
 
     def __init__(
@@ -230,7 +233,7 @@ class Again:
         """Take samples and the steps that they complete in the first filter; return the steps that
         are far enough back, or all after the `last` ones, with what the smoother needs.
 
-        `less` (m,) N m is taken off the drive torque in each step, nothing where it is None."""
+        `less` (m,) N m is subtracted from the drive torque in each step, if it is given."""
         if self._signals is not None:
             signals = _joined(self._signals, signals)
         less = np.zeros(len(estimate.outputs)) if less is None else less
@@ -238,7 +241,7 @@ class Again:
         seen = np.column_stack([estimate.outputs[:, [2, 0, 1]], self._rested(estimate.low)])
         self._seen = np.concatenate([self._seen, seen])
         ahead = self._onset + self._settled
-        before = len(self._seen) - len(less)  # steps that were filtered, but are looked back at
+        before = len(self._seen) - len(less)  # steps already filtered, still needed for `_least`
         count = max(0, len(less) - (0 if last else ahead))
         end = count * self._size + (0 if self._begun or not count else 1)
         found = self._filter.add(
@@ -253,7 +256,7 @@ class Again:
         return found
 
     def _rested(self, low: Array) -> Array:
-        """Return for how many steps the angle has been in the count of each, (m,)."""
+        """Return the number of steps since the angle entered its present count, (m,)."""
         if not len(low):
             return np.empty(0)
         step, first = np.arange(float(len(low))), self._seen[-1, 3] if len(self._seen) else -1.0
@@ -263,7 +266,7 @@ class Again:
         return rested
 
     def _least(self) -> Array:
-        """Return the lowest levels of the torque's noise in the steps that are known, (m,)."""
+        """Return the lowest levels of the torque's noise at the steps in `_seen`, (m,)."""
         level, torque, deviation, rested = self._seen.T
         later = np.minimum(np.arange(len(level)) + self._settled, len(level) - 1)
         ended = np.zeros(len(level))
@@ -274,7 +277,7 @@ class Again:
 
 
 class Smoother:
-    """The smoothed estimate; takes what the filter kept, and gives it back as soon as it may.
+    """The smoothed estimate of the steps that the filter kept, as soon as enough steps follow.
 
     `step_time` s is that of the filter's steps.
     """
@@ -288,7 +291,7 @@ class Smoother:
     def add(self, estimate: Estimate) -> tuple[Array, Array]:
         """Take the kept data of steps; return torque and deviation of the next steps, (m,) N m.
 
-        As many as are followed by enough; often none.
+        Only steps that enough others follow are returned; often there are none.
         """
         if len(estimate.deviation):
             assert estimate.kept is not None
@@ -304,7 +307,7 @@ class Smoother:
         return self._backwards(0)
 
     def _backwards(self, ahead: float) -> tuple[Array, Array]:
-        """Smooth the waiting steps, and hand out all but at least the last `ahead` of them."""
+        """Smooth the waiting steps; return all of them except at least the last `ahead`."""
         rows = np.zeros(STATES * ROW_LENGTH)
         done: deque[tuple[Array, Array]] = deque()
         behind = 0
@@ -330,8 +333,8 @@ def smoothed(
     corner_hz: float,
     signals: Signals,
 ) -> tuple[Array, Array]:
-    """Return torque after each step, and the deviation that a low-pass without phase shift leaves
-    of it, (m,) N m each, from the whole recording.
+    """Return the torque after each step, and its deviation behind a low-pass without phase shift,
+    (m,) N m each, from the whole recording.
 
     Raises `ValueError` for less than a step of samples.
     """
@@ -354,7 +357,7 @@ def smoothed(
 def without_delay(deviation: Array, corner_hz: float, step_time: float) -> Array:
     """Return the deviation behind a low-pass without phase shift, (m,) N m.
 
-    It is that of the causal low-pass of the same corner, by its delay later.
+    It is the deviation behind the causal low-pass of the same corner, at a time later by its delay.
     """
     late = min(round(passed.delay(corner_hz) / step_time), len(deviation) - 1)
     return np.append(deviation[late:], np.full(late, deviation[-1]))

@@ -4,9 +4,9 @@
     Z = Phi(beta) - Phi(alpha),  d = (phi(alpha) - phi(beta)) / Z
     mean = m + s d,  variance = s^2 (1 + (alpha phi(alpha) - beta phi(beta)) / Z - d^2)
 
-Inside a count the mean hardly moves and nothing is learned, at an edge much is; rounding noise of
-count^2/12 would claim the same everywhere. (N. L. Johnson, S. Kotz, N. Balakrishnan, Continuous
-Univariate Distributions 1, 2nd ed. 1994, section 13.10.1.)
+Inside a count the mean hardly moves and little is learned; at an edge much is. Rounding noise of
+count^2/12 would claim the same information everywhere. (N. L. Johnson, S. Kotz, N. Balakrishnan,
+Continuous Univariate Distributions 1, 2nd ed. 1994, section 13.10.1.)
 """
 
 from __future__ import annotations

@@ -1,18 +1,20 @@
 """Torque on the output by a filter over angle, speed, bristles and torque, causal.
 
     prediction   x- = f(x),  P- = Phi P Phi' + Q,  Phi the derivative of f in closed form
-    update       the angle lies within its count: `interval`, with s^2 = P-[0, 0] and the spread
-                 of an edge. A normal that was cut to a count reaches beyond it again: where the
-                 count stays the same, d is less by what one more cut of the state after the last
-                 update would shift it, and rho is over what that would leave.
+    update       the angle lies within its count: `interval`, with s^2 = P-[0, 0] plus the variance
+                 of an edge.
                  K = P-[:, 0] / s^2, x = x- + K s d, P = P- - K K' s^2 (1 - rho)
-    torque       random walk with three levels: a contact is no steady drift, and one level for all
-                 would give a load step to the bristles instead. Leaky sums of the corrections d
-                 over SHORT and LONG show a step and a slow change: where one exceeds its
-                 threshold, its level holds for `busy_time`. A count that passes while the motor has
-                 no current is a slow change, too: what moves the rotor then is the torque.
+                 After an update, the normal distribution reaches beyond the count again, and the
+                 same count would be used twice. Where the count stays the same, d is therefore less
+                 by the shift, and rho is divided by the variance ratio, that truncating the state
+                 after the last update once more would give.
+    torque       random walk with three levels. A contact is no steady drift; with one level for
+                 all, the filter would assign a load step to the bristles. Leaky sums of the
+                 corrections d over SHORT and LONG show a step and a slow change: where one exceeds
+                 its threshold, its level holds for `busy_time`. A count that passes while the motor
+                 has no current is a slow change, too: the torque moves the rotor then.
     reversal     where the housing's bristle crosses -1/2 in the direction of motion, a new stroke
-                 begins: its deviations are drawn anew.
+                 begins: its deviations return to their prior.
 
 Bristles as states give friction after a reversal and at rest from the path since sliding, so that
 the dead band is what a count leaves open instead of the whole friction. R. E. Kalman 1960; adaptive
@@ -60,11 +62,11 @@ STEP_THRESHOLD, SLOW_THRESHOLD = 4e-3, 10e-3
 """Sums (standard deviations times s) from which on a step, or a slow change, is under way."""
 
 REST_TIME = 1.0
-"""Time within two counts, s, after which the stroke's deviation is drawn anew as the rotor leaves
-them: in a rest the equations' own errors, small but of one sign, are taken for such a deviation."""
+"""Time within two counts, s, after which the stroke's deviation returns to its prior as the rotor
+leaves them: in a rest the errors of the equations, small but of one sign, pass for a deviation."""
 
 FOLLOWED = (ANGLE, SPEED, HOUSING, SINE, COSINE, TORQUE)
-"""States by which the torque follows a drive torque that is not known: `power_up`."""
+"""States through which the torque follows an unknown drive torque: `power_up`."""
 
 FIRST_GAIN = 3
 OUTPUTS = FIRST_GAIN + len(FOLLOWED)
@@ -79,7 +81,7 @@ LEAST_VARIANCE = 1e-3
 STATE = np.dtype(
     [
         ("mean", "f8", (STATES,)),
-        # of the states and of q, in rows of WIDE columns; and q, see `passed`
+        # of the states and of q, in rows of ROW_LENGTH columns; and q, see `passed`
         ("covariance", "f8", (passed.JOINT_STATES, ROW_LENGTH)),
         ("passed", "f8", (passed.LOW_PASS_ORDER,)),
         ("direction", "f8"),
@@ -101,15 +103,15 @@ STATE = np.dtype(
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """How far the equations of `Plant` may be off; standard deviations, SI.
+    """Standard deviations of the errors of the equations of `Plant`, SI.
 
     `stroke` [N m] and `load_stroke` (relative) are drawn at each reversal; `friction_noise` [N m]
     has the memory `friction_noise_time` [s]. What ends in `_rate` is a random walk per square root
     of a second; on angles, speeds and bristles it is small and keeps the covariance positive.
-    `edge` is that of the encoder's edges, in counts, `undecided` how many of the speed's own the
-    speed must be off zero until its direction is certain. With `repeats` of 1 each step takes in
-    all that a count shows, and not only what it shows anew. `torque_start` [N m], `bristle_start`,
-    and `speed_start` [rad/s] are what is not known at the beginning.
+    `edge` is that of the encoder's edges, in counts. `undecided` is the multiple of its standard
+    deviation by which the speed must differ from zero until its direction is certain. With
+    `repeats` of 1 each step uses a count in full, and not only what it adds. `torque_start` [N m],
+    `bristle_start` and `speed_start` [rad/s] are the uncertainty at the beginning.
     """
 
     stroke: float
@@ -167,7 +169,7 @@ def rest_steps(span: float) -> float:
 
 @compiled
 def leaves_rest(s: Record, moved: float, width: float, span: float) -> bool:
-    """Count the steps within two counts; return whether a rest ends by this move, rad."""
+    """Count the steps within two counts; return whether this move, rad, ends a rest."""
     before, up, down = max(s.rested_up, s.rested_down), s.rested_up, s.rested_down
     s.rested_up, s.rested_down = 0.0, 0.0
     if abs(moved) < 0.5 * width:
@@ -196,7 +198,7 @@ def _propagate(rows: Array, turned: Array, factors: Array, samples: int, kept: f
     """Multiply the joint covariance by a step's derivative from both sides.
 
     The rows that move first; then their columns, as rows of the transpose. q has moved before.
-    `kept` is what remains of the noise; `turned` (12 * WIDE,) is overwritten.
+    `kept` is what remains of the noise; `turned` (12 * ROW_LENGTH,) is overwritten.
     """
     for k in range(samples):
         forwards(rows, ROW_LENGTH, factors, k)
@@ -311,8 +313,8 @@ def _remove(rows: Array, gain: Array, scale: float) -> None:
 def _shown(
     s: Record, u: Record, angle: float, variance: float, low: float, width: float
 ) -> tuple[float, float]:
-    """Return what a count shows anew of an angle: its shift, rad, and the part of the variance that
-    it leaves."""
+    """Return what a count adds about an angle: the shift, rad, and the part of the variance that
+    remains."""
     deviation = math.sqrt(variance)
     mean, left = truncated((low - angle) / deviation, (low + width - angle) / deviation)
     shift, left = mean * deviation, max(left, LEAST_VARIANCE)
@@ -339,8 +341,8 @@ def _update(
 ) -> tuple[float, float, float]:
     """Take in that the angle lies in a count; return correction, weight and prior variance.
 
-    `idle` states that the motor has had no current. `gain` (WIDE,) receives the gain of states and
-    q; of the sums of corrections `memory` remains.
+    `idle` states that the motor has had no current. `gain` (ROW_LENGTH,) receives the gain of
+    states and q; of the sums of corrections `memory` remains.
     """
     x = s.mean
     variance = rows[_at(ANGLE, ANGLE)] + (u.edge * width) ** 2

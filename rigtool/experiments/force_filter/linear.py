@@ -1,7 +1,8 @@
-"""A sample's equations, linear about the states: what most of the time of filter and smoother is.
+"""The equations of a sample, linearised about the states: filter and smoother spend most time here.
 
-A sample leads from rows to rows: those of rotor's and output's speed are sums of nearly all rows,
-each other one is the sum of two, and the last rows stay. `plant.advance` gives the `COUNT` factors:
+A sample maps rows to rows. Those of the speeds of rotor and output are sums of nearly all rows,
+each other one is the sum of two, and the last rows stay. `plant.advance` gives the `FACTOR_COUNT`
+factors:
 
     w' = f0 angle + f1 w + f2 z + f3 h + f4 a + f5 v + f6 sine + .. + f10 torque
     v' = f11 angle + f12 w + f13 a + f14 v + f15 t + f16 torque
@@ -9,7 +10,7 @@ each other one is the sum of two, and the last rows stay. `plant.advance` gives 
     angle' = angle + f23 w',   a' = a + f23 v'
 
 and on a bare shaft, f24 > 0, instead a' = f24 angle', v' = f24 w'. Matrices are flat, rows of
-`ROW_LENGTH` columns one behind the other: so a processor does eight columns at once.
+`ROW_LENGTH` columns one behind the other, so that a processor works on eight columns at once.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ def _read(factors: Array, k: int) -> tuple[float, ...]:
 @compiled
 def forwards(rows: Array, columns: int, factors: Array, k: int) -> None:
     """Advance the first `columns` of a flat matrix (n,), 12 rows of `ROW_LENGTH`, by sample k of
-    `factors` (samples, `FACTORS`)."""
+    `factors` (samples, `FACTOR_COUNT`)."""
     found = _read(factors, k)
     w0, w1, w2, w3, w4, w5, w6, w7, w8, w9, w10 = found[:11]
     v0, v1, v2, v3, v4, v5, z0, z1, h0, h1, t0, t1, dt, shaft = found[11:]

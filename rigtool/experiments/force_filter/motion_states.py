@@ -1,4 +1,4 @@
-"""The state of motion at each step: the error depends on it, and whether there is a value.
+"""The state of motion at each step; it decides whether there is a value, and how large its u is.
 
 With rotor speed w, deflection h of the long bristle (`plant`) and torque M on the output,
 
@@ -7,7 +7,7 @@ With rotor speed w, deflection h of the long bristle (`plant`) and torque M on t
     against      M w >= 0,   with   M w < 0
     outside      angle, speed, torque or temperature beyond what was learned
 
-How large the error is depends besides on whether a rotor that slides creeps: with less than
+The size of the error also depends on whether a sliding rotor creeps: with less than
 `CREEP_SPEED_RATIO` of the slowest speed that was learned under load it sticks and slips.
 """
 
@@ -26,7 +26,7 @@ States = NDArray[np.int32]
 Idling = NDArray[np.int8]
 
 STILL_TIME = 0.1
-"""Within this time, s, a rotor that stands still passes one edge of the encoder at most."""
+"""Time, s, within which a rotor that stands still passes one edge of the encoder at most."""
 
 LIMIT_TIME = 0.1
 """Time about a current at its limit in which the torque has no value, s."""
@@ -41,11 +41,11 @@ LARGEST_LEARNED_RATIO = 1.1
 """Multiple of the learned speed and torque up to which values are given."""
 
 CREEP_SPEED_RATIO = 0.4999
-"""Part of the slowest speed learned under load, below which a sliding rotor creeps. A little less
-than half: at half of a round speed, rounding would choose the side."""
+"""Part of the slowest speed learned under load, below which a sliding rotor creeps. It is a little
+less than half, so that rounding does not decide at half of a round speed."""
 
 BEYOND_ANGLE = 0.01
-"""Part of the range of angles by which values go beyond it, on both sides."""
+"""Part of the range of angles by which values are given beyond it, on both sides."""
 
 
 class State(IntEnum):
@@ -74,8 +74,8 @@ STATE_NAMES = {
 
 @dataclass(frozen=True)
 class Reach:
-    """How far a model was learned: angle of the rotor rad, its speed rad/s, torque on the output
-    N m, and temperature of the motor degC; a sliding rotor creeps below `slow` rad/s."""
+    """The range in which a model was learned: angle of the rotor rad, its speed rad/s, torque on
+    the output N m, and temperature of the motor degC; a sliding rotor creeps below `slow` rad/s."""
 
     angle: tuple[float, float]
     speed: float
@@ -133,9 +133,9 @@ class Moments:
 
 @dataclass(frozen=True)
 class Judge:
-    """Gives states; `count` rad is the encoder's, `step_time` s that of a step.
+    """Assigns states; `count` rad is the encoder's, `step_time` s that of a step.
 
-    What needs a span of time looks at both sides of a step, or, where it is `causal`, back.
+    Where a span of time is needed, it lies on both sides of a step; where `causal`, before it.
     """
 
     reach: Reach

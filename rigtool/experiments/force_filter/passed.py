@@ -2,9 +2,9 @@
 
     q of the next step = A q + B M,   y = C q + D M                       Butterworth, order 2
 
-What the filter states of M at one moment is mostly noise that the low-pass takes away: right after
-a step its deviation is ten times what is left of it in y. So mean and covariance of q go along, and
-y has a mean and a deviation of its own. Measurements show q through x alone; nothing depends on q.
+The deviation of M at one moment is mostly noise that the low-pass removes: right after a step it is
+ten times the deviation of y. Mean and covariance of q are therefore carried along, and y has a mean
+and a deviation of its own. Measurements show q through x alone; nothing depends on q.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ def settled(low_pass: Array) -> Array:
 
 
 def delay(corner_hz: float) -> float:
-    """Return by how much y is late at low frequencies, s."""
+    """Return the delay of y at low frequencies, s."""
     return math.sqrt(2) / (2 * math.pi * corner_hz)
 
 
 @compiled
 def predict(q: Array, rows: Array, low_pass: Array, torque: float) -> None:
-    """Advance q (2,), and its rows and columns of the joint covariance (14 * WIDE,), by a step,
-    before x; `torque` N m is what the filter finds."""
+    """Advance q (2,), and its rows and columns of the joint covariance (14 * ROW_LENGTH,), by a
+    step, before x; `torque` N m is what the filter finds."""
     a, b, c = low_pass[0, 0], low_pass[0, 1], low_pass[0, LOW_PASS_ORDER]
     d, e, f = low_pass[1, 0], low_pass[1, 1], low_pass[1, LOW_PASS_ORDER]
     q[0], q[1] = a * q[0] + b * q[1] + c * torque, d * q[0] + e * q[1] + f * torque

@@ -13,12 +13,12 @@ torque M on the output from outside, positive where it resists positive motion:
                                                                             14(12) 1675-1682, 1976
     x0 = x1 (1 - (1 - r) max(0, 1 - |w| / vs)) of z: r of its length x1 acts at rest
 
-T is what current and position give (torque constant, ripple, cogging) and b the bearings' viscous
-friction; both are inputs, sample by sample, because they hardly depend on the angle within a count.
-A bristle's law depends on the path alone, and has a closed form for a step of any size. Everything
-else is semi-implicit Euler at the sample time. SI units; g torque at the grasper per motor torque,
-r motor angle per grasper angle. Without an instrument (grasper_inertia = 0) M acts on the shaft
-itself: s = M, a = theta/r, v = w/r.
+T is the torque from current and position (torque constant, ripple, cogging) and b the bearings'
+viscous friction. Both are inputs, sample by sample, because they hardly depend on the angle within
+a count. A bristle's law depends on the path alone and has a closed form for a step of any size.
+Everything else is semi-implicit Euler at the sample time. SI units; g torque at the grasper per
+motor torque, r motor angle per grasper angle. Without an instrument (grasper_inertia = 0) M acts on
+the shaft itself: s = M, a = theta/r, v = w/r.
 """
 
 from __future__ import annotations

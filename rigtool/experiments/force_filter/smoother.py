@@ -4,9 +4,9 @@
               L~ = (I - g K H)' L (I - g K H) + H' H g / s^2,   L = Phi' L~ Phi
     smoothed  x + P l with the filter's x and P after its update, variance P - P L P
 
-with H the angle, g = 1 - rho the weight of the update. After A. E. Bryson and M. Frazier (1963) as
-G. J. Bierman gives it for scalar measurements, Int. J. Control 18(4) 1973: it inverts nothing, and
-is stable where the filter is.
+with H the angle and g = 1 - rho the weight of the update (A. E. Bryson and M. Frazier 1963, in the
+form of G. J. Bierman for scalar measurements, Int. J. Control 18(4) 1973). It inverts no matrix,
+and is stable where the filter is.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ ADJOINT_COLUMN = STATES
 
 
 def room(count: int, samples: int) -> tuple[Array, ...]:
-    """Return arrays for the data that the filter keeps of `count` steps of some `samples`.
+    """Return arrays for the data that the filter keeps of `count` steps of `samples` samples each.
 
-    Factors of the samples (count * samples, FACTORS), see `linear`; where a stroke began (count,),
-    correction s d / s^2 [1/rad], weight 1 - rho and prior variance s^2 [rad2] of the update,
-    (count,) each, its gain (count, 12), and the covariance of the torque, and of the torque behind
-    the low-pass, with the states (count, 12).
+    Factors of the samples (count * samples, FACTOR_COUNT), see `linear`; where a stroke began
+    (count,), correction s d / s^2 [1/rad], weight 1 - rho and prior variance s^2 [rad2] of the
+    update, (count,) each, its gain (count, 12), and the covariance of the torque, and of the torque
+    behind the low-pass, with the states (count, 12).
     """
     numbers = [np.empty(count) for _ in range(4)]
     rows = [np.empty((count, STATES)) for _ in range(3)]
@@ -40,7 +40,8 @@ def room(count: int, samples: int) -> tuple[Array, ...]:
 
 @compiled
 def _times(symmetric: Array, weights: Array, k: int, product: Array) -> None:
-    """Let product (12,) be a symmetric matrix (12 * WIDE,) times row k of the weights (m, 12)."""
+    """Let product (12,) be a symmetric matrix (12 * ROW_LENGTH,) times row k of the weights (m,
+    12)."""
     for j in range(0, STATES, 4):  # a processor does four columns at once
         a = b = c = d = 0.0
         for m in range(STATES):
@@ -95,7 +96,7 @@ def smooth_steps(
     """Smooth m steps; `torque` (m,) and `deviation` (m,) of the torque behind the low-pass hold the
     filter's and receive the smoothed.
 
-    `rows` (12 * WIDE,) are those of the information L, with the adjoint as their column
+    `rows` (12 * ROW_LENGTH,) are those of the information L, with the adjoint as their column
     `ADJOINT_COLUMN`, after the last step, zero at the end of a recording, and are changed into
     those before the first. `kept` is what a step leaves of friction noise.
     """

@@ -1,14 +1,14 @@
 """Contacts in a torque over time: found by tests whose thresholds follow from measured errors.
 
-The torque M is that of the causal filter whose random walk is always that of no contact, since
-levels that adapt widen the deviation just when something touches. Two tests look at it, after a
+The torque M is that of a causal filter whose random walk is always that of no contact, since levels
+that adapt widen the deviation just when something touches. Two tests are applied to it, after a
 first-order low-pass of `JUMP_LAG`:
 
     jump    |M(t) - M(t - WINDOW)|       errors that last longer than the window cancel
     level   |M(t)| / u(t)                what comes slowly; u is the filter's deviation of M
 
 Where a part of M is in doubt by d (ripple of another power-up), the level's u is sqrt(u^2 + d^2),
-and a jump counts by u over that: as much as u, it is what errors of a jump are in proportion to.
+and a jump is multiplied by u over that: errors of a jump are in proportion to this sum.
 
 Errors depend on the `MotionKind`: steady motion, within `REVERSAL_TIME` of a reversal or of a rotor
 that creeps, which sticks and slips, and rest. In each, the highest values in blocks of WINDOW
@@ -19,9 +19,9 @@ Stat. 3(1) 119-131, 1975, shape 0), whose mean m is known from the n values that
 
     P(x > t + y) = (1 - TAIL) (1 + y / (n m))^-n
 
-A contact begins where M passed half of the highest value in WINDOW from where it was found, there
-at the latest, and ends where M falls below half of its mean so far, which is as likely to be no
-contact as that mean.
+A contact begins where M passed half of its highest value in the WINDOW after the contact was found,
+and where it was found at the latest. It ends where M falls below half of its mean so far: such a
+value is as near to no contact as to that mean.
 """
 
 from __future__ import annotations
@@ -43,20 +43,21 @@ from rigtool.numerics.recursion import Biquad, filtered
 Single = NDArray[np.float32]
 
 JUMP_WINDOW = 0.06
-"""Time of a jump, s: a hand's or a tool's touch rises within it."""
+"""Time of a jump, s: the touch of a hand or a tool rises within it."""
 
 JUMP_LAG = 5e-3
 """Time constant of the low-pass, s."""
 
 REVERSAL_TIME = 3 * JUMP_WINDOW
-"""Time after a reversal in which its errors are not over, s: a jump looks back by one window."""
+"""Time after a reversal in which its errors last, s: a jump looks back by one window."""
 
 LEVEL_MEMORY = 1.0
-"""Memory of the level's errors, s, and the longest time from begin to finding."""
+"""Memory of the level's errors, and the longest time from the begin of a contact to its finding,
+s."""
 
 FALSE_ALARMS = ((1 / 72000, 1 / 7200), (1 / 7200, 1 / 7200), (1 / 7200, 1 / 7200))
 """Rates of false alarms by jump and by level, Hz, in motion of each `MotionKind`: one in two hours.
-In steady motion jumps of errors are small, and a tenth of the rate delays nothing."""
+In steady motion jumps of errors are small, and a tenth of the rate costs no delay."""
 
 TAIL_QUANTILE = 0.9
 
@@ -64,11 +65,11 @@ MIN_BLOCKS = 50
 """Blocks of a motion without which there is no threshold, and no contact is found in it."""
 
 CONTACT_SETTLING_TIME = 2.0
-"""Time at the begin of a stretch without tests, s: the filter does not know the history."""
+"""Time without tests at the beginning of a stretch, s: the filter does not know the history."""
 
 
 class MotionKind(IntEnum):
-    """What errors of a test depend on."""
+    """The kinds of motion on which the errors of a test depend."""
 
     STEADY = 0
     REVERSED = 1
@@ -103,10 +104,11 @@ def trial(
     step_time: float,
     doubt: Array | float = 0.0,
 ) -> Trial:
-    """Return the tests of a stretch from what the filter without contacts gives, N m; (m,).
+    """Return the tests of a stretch from torque and deviation of the filter without contacts, N m;
+    (m,).
 
-    `kinds` are those of `Judge.kinds`; `doubt` N m is the standard deviation of what was taken off
-    its torque.
+    `kinds` are those of `Judge.kinds`; `doubt` N m is the standard deviation of the ripple that was
+    subtracted from the torque.
     """
     kept = math.exp(-step_time / JUMP_LAG)
     low_pass = Biquad(1 - kept, 0.0, 0.0, -kept, 0.0)
@@ -152,7 +154,7 @@ def _highest(test: Trial, values: Single, motion: MotionKind, memory: float) -> 
 
 
 def _exceeded(values: Array, probability: float) -> float:
-    """Return what values like these (n,) exceed with a probability, by the tail's distribution."""
+    """Return the value that values like these (n,) exceed with a probability, by their tail."""
     start = float(np.quantile(values, TAIL_QUANTILE))
     beyond = values[values > start] - start
     if not len(beyond):

@@ -1,13 +1,13 @@
 """Random deviations of friction, from the differences of cycles of one motion.
 
-What a cycle's torque deviates from the mean cycle is, along a stroke,
+The deviation of a cycle's torque from the mean cycle is, along a stroke,
 
     e = d (b1 sin a + b2 cos a + b3 s / n) + f,   b1, b2 ~ N(0, S^2),  b3 ~ N(0, L^2)
 
 with f a first-order process of variance F^2 and memory T, and white noise of the readings. S, L, F
-and T are those under which the cycles of all recordings are most likely. The mean of n cycles takes
-its own variance away: of strokes, of which it keeps the part k (`kept_by_mean`), 1 - k/n is left,
-of f, which does not pay back, 1 - 1/n.
+and T are those under which the cycles of all recordings are most likely. Subtracting the mean of n
+cycles lowers the variance: of strokes, of whose variance the mean keeps the part k
+(`kept_by_mean`), 1 - k/n is left, and of f, which does not pay back, 1 - 1/n.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from rigtool.numerics.arrays import Array
 from rigtool.numerics.steady_mean import MIN_READINGS, steady_us
 
 ROWS_APART = 5
-"""Rows from one that is compared to the next: f hardly changes between them."""
+"""Rows between those that are compared: f hardly changes between them."""
 
 MIN_STROKE_ROWS = 20
 """Fewest compared rows with which a stroke shows slow deviations."""
 
 UNSEEN_PART = 0.03
-"""Of the friction, by which strokes deviate where none is long enough to show it: tendons of an
-instrument deviated by 2.6 % (J. J. Briaire 2006, Table 9)."""
+"""Part of the friction by which strokes are assumed to deviate where none is long enough to show
+it: tendons of the thesis's instrument deviated by 2.6 % (E. Briaire 2006, Table 9)."""
 
 UNSEEN_FRICTION = 3e-3
-"""Friction where there are no strokes without load at all, N m."""
+"""Friction that is assumed without any strokes without load, N m."""
 
 MAX_SCATTER_RATIO = 3.0
-"""Scatter of a motion's cycles, in that of most motions, above which they do not repeat."""
+"""Scatter of a motion's cycles, over that of most motions, above which they do not repeat."""
 
 SMALLEST_SCATTER = 1e-12
-"""Of cycles that do not differ at all, N m."""
+"""Scatter of cycles that do not differ at all, N m."""
 
 SEARCH_RANGE = 12.0
 """Range of the logarithms in the search, either way."""
@@ -58,9 +58,9 @@ class Deviations:
 
 @dataclass(frozen=True, eq=False)
 class _Stroke:
-    """What strokes deviate by at their rows (strokes, m), and there (m, m) the products of shapes
-    that each stroke draws anew and in proportion to the load, and the time between rows, s; the
-    mean that was taken away is that of `count` cycles."""
+    """Deviations of strokes at their rows, `own` (strokes, m); there (m, m) the products of the
+    shapes that each stroke draws, `alike` and in proportion to the load, `loaded`, and the time
+    between rows, `apart` s. The mean that was subtracted is that of `count` cycles."""
 
     own: Array
     alike: Array
@@ -72,7 +72,7 @@ class _Stroke:
 def deviations(
     records: Sequence[Record], angle_ratio: float, torque_factor: float
 ) -> Deviations | None:
-    """Return the deviations that repeated motions show; records that do not repeat are passed over.
+    """Return the deviations that repeated motions show; records that do not repeat are ignored.
 
     None where no stroke is long enough, or is made three times.
     """
@@ -105,7 +105,7 @@ def deviations(
 
 
 def unseen_deviations(records: Sequence[Record]) -> Deviations:
-    """Return what is assumed where strokes do not show how they deviate: a part of the friction."""
+    """Return the deviations that are assumed where strokes show none: a part of the friction."""
     rows = [r.torques[:, r.used].ravel() for r in records if r.cycles and not r.moment]
     seen = np.concatenate(rows) if rows else np.empty(0)
     friction = math.sqrt(np.mean(seen**2)) if seen.size else UNSEEN_FRICTION
@@ -142,8 +142,8 @@ def _strokes(record: Record, angle_ratio: float, torque_factor: float) -> list[_
 def scatter_ratios(records: Sequence[Record]) -> list[float]:
     """Return the scatter of each record's cycles over that of most of them.
 
-    Above `MAX_SCATTER_RATIO` it is no more what friction does: where the loop lets a load swing, no
-    cycle is like another, and a model, which is not linear, does not hold for their mean.
+    Above `MAX_SCATTER_RATIO` friction does not explain it: where the loop lets a load swing, no
+    cycle is like another, and a model that is not linear does not hold for their mean.
     """
     scatters = [record.scatter for record in records]
     usual = max(float(np.median(scatters)), SMALLEST_SCATTER)
@@ -158,10 +158,10 @@ def scatter_hz(record: Record) -> float:
 
 
 def kept_by_mean(records: Sequence[Record], angle_ratio: float) -> float:
-    """Return the variance that strokes' deviations leave to a mean, over that of independent ones.
+    """Return the variance of a mean over strokes, over that of a mean of independent strokes.
 
-    Strokes pay back what their predecessors deviate; how much of it, their sine along each
-    direction of all repeated motions shows (`numerics.steady_mean`). 1 where nothing repeats.
+    Strokes pay back a part of the deviation of their predecessors. The sine along each direction of
+    all repeated motions shows how much (`numerics.steady_mean`). 1 where nothing repeats.
     """
     series = []
     for record in records:

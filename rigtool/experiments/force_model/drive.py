@@ -2,9 +2,9 @@
 
     T = late(kT (i + i0)) - offset - cogging - lag(kT-ripple),   b = drag by rotor angle
 
-late() being a lag of first order by the learned delay of the current, and the rest being
-from the terms of `model` that look at the rotor's angle alone; they hardly change within a count,
-so the encoder's angle is good enough for them.
+late() is a first-order lag by the learned delay of the current. The rest are the terms of `model`
+that depend on the rotor's angle alone; they hardly change within a count, so that the encoder's
+angle is good enough for them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MAP_SIZE = 2048
 
 COGGING, RIPPLE, GAIN, SQUARE, VISCOUS = range(5)
 LARGEST_LEAD = 1 / 3
-"""Of a sample, by which torque may lead its current: more would ring."""
+"""Part of a sample by which torque may lead its current: more would ring."""
 
 _COLUMNS = {
     Kind.OFFSET: COGGING,
@@ -49,8 +49,8 @@ class MotorMap:
     delay: float = 0.0
 
     def delay_kept(self, sample_time: float) -> float:
-        """Return what a sample of `sample_time` s keeps of the torque before it, so that torque is
-        late by the delay. A delay below zero, as noise may have it, gives a lead."""
+        """Return the part of the earlier torque that a sample of `sample_time` s keeps, so that
+        torque is late by the delay. A delay below zero, which noise may cause, gives a lead."""
         late = max(self.delay, -LARGEST_LEAD * sample_time)
         return late / (late + sample_time)
 
@@ -64,8 +64,8 @@ class MotorMap:
     ) -> tuple[Array, Array]:
         """Return torque N m and drag N m s/rad (n,) at angles rad under currents A.
 
-        `lagging` (2,) N m are what the lagging ripple and torque were before, 0 where they are not
-        given, and are changed into what they are afterwards.
+        `lagging` (2,) N m are the lagging ripple and torque before these samples, 0 by default, and
+        receive their values after them.
         """
         torque, viscous = np.empty(angle.size), np.empty(angle.size)
         _drive(

@@ -1,4 +1,4 @@
-"""A learned model with the deviations from it: everything that a filter for torque over time needs.
+"""A learned model with the deviations from it, as a filter for torque over time needs them.
 
 Equations: `model`, those of the filter `plant`; load_stroke = L / load friction coefficient.
 """
@@ -22,9 +22,9 @@ from rigtool.numerics.arrays import Array
 
 @dataclass(frozen=True)
 class ForceModel:
-    """See the module; `scales` (2, kinds, 2) lead from the filter's deviation to the standard
-    uncertainty, of the smoothed and of the causal torque: `intervals`. `limits` (3, 2) are the
-    thresholds for contacts: `contacts`."""
+    """See the module. `scales` (2, kinds, 2) are the factors from the filter's deviation to the
+    standard uncertainty, of the smoothed and of the causal torque: `intervals`. `limits` (3, 2) are
+    the thresholds for contacts: `contacts`."""
 
     learned: LearnedModel
     deviations: Deviations
@@ -33,7 +33,7 @@ class ForceModel:
 
     @property
     def drive(self) -> MotorMap:
-        """What current and rotor angle give at the shaft."""
+        """Torque at the shaft by current and rotor angle."""
         return drive_of(self.learned)
 
     def plant(self, sample_time: float) -> Plant:
@@ -42,7 +42,7 @@ class ForceModel:
 
     @property
     def uncertainty(self) -> Uncertainty:
-        """How far the equations may be off."""
+        """Standard deviations of the errors of the equations."""
         own, learned = self.deviations, self.learned
         per_load = sum(
             float(coefficient)

@@ -1,8 +1,8 @@
 """How the model's coefficients and shape are learned from records of known loads.
 
-Gauss-Newton over shape (in logarithms) and coefficients together. Where only the shape enters other
-than linearly, a step solves the linear part anew and moves the shape along the derivative of what
-it predicts (variable projection in L. Kaufman's form, BIT 15, 49-57, 1975). Every coefficient and
+Gauss-Newton over shape (in logarithms) and coefficients together. Only the shape enters other than
+linearly: a step solves the linear part again and moves the shape along the derivative of the
+prediction (variable projection in L. Kaufman's form, BIT 15, 49-57, 1975). Every coefficient and
 every logarithm has a normal prior.
 """
 
@@ -44,7 +44,7 @@ MIN_LIFT = 0.05
 """First lift of a step that raised the cost."""
 
 REWEIGHED_STEP = 0.3
-"""Step, in logarithms, from which on records are weighed one by one."""
+"""Step, in logarithms, below which records have weights of their own."""
 
 LENGTH_SPREAD = 1.0
 """Prior standard deviation of the logarithm of a bristle's length."""
@@ -53,8 +53,8 @@ TENDON_STRETCHES = np.geomspace(1e-2, 1.0, 9)
 """Stretches of the tendon under the largest load, rad: the search begins at the best."""
 
 DAMPING_RATIO, GRASPER_HZ, LOAD_ARM = 0.1, 70.0, 0.02
-"""Where it begins besides: the damping ratio under the largest load, the resonance of the bare
-output, and how far out a load hangs, m."""
+"""Other values at the beginning of the search: the damping ratio under the largest load, the
+resonance of the bare output, and the arm of a load, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +117,8 @@ class SlidingFit:
         return moments(self.problem, learned.shape, learned.coefficient, self.count)
 
     def moved_by(self, records: Sequence[Record], known: Known) -> Array:
-        """Return by how much the logarithms of the shape (p,) change where loads and rig are
-        others than they were said to be, to first order."""
+        """Return the change of the logarithms of the shape (p,), to first order, if loads and rig
+        are others than stated."""
         own, model = self.problem, self.learned
         other = Problem(records, own.terms, known, own.start, own.deviation, own.friction)
         other.variance = own.variance
@@ -159,10 +159,10 @@ def learn_sliding(
 def _searched(problem: Problem, shape: Shape) -> tuple[Shape, Array]:
     """Return the shape of least cost near one, and its coefficients (t,).
 
-    A step that raises the cost is taken anew, shorter (D. W. Marquardt, J. SIAM 11(2), 431, 1963):
+    A step that raises the cost is repeated, shorter (D. W. Marquardt, J. SIAM 11(2), 431, 1963):
     where a load swings with little damping, the model is linear over a small part of a step only.
-    Once near its end, records keep weights of their own: between those and equal ones, the search
-    would go to and fro.
+    Once near its end, records keep weights of their own: otherwise the search would alternate
+    between those and equal weights.
     """
     count, lift, near = len(SLIDING_PARAMETERS), 0.0, False
     coefficient, cost = problem.cost(shape)
@@ -226,7 +226,7 @@ def sizes_of(records: Sequence[Record]) -> Sizes:
 
 
 def _start(sizes: Sizes, known: Known, count: float, stretch: float) -> Shape:
-    """Return where the search begins: of the rig's own sizes, and not of any one rig.
+    """Return the shape at which the search begins, from the sizes of the rig.
 
     `stretch` rad is that of the tendon under the largest load.
     """

@@ -1,4 +1,4 @@
-"""A motor with pre-sliding friction, a tendon and a grasper: everything that the current does.
+"""A motor with pre-sliding friction, a tendon and a grasper: the balance of its torques.
 
 At the motor's shaft, with rotor angle b and the output's angle a,
 
@@ -6,33 +6,32 @@ At the motor's shaft, with rotor angle b and the output's angle a,
 
     s = k (b / r - a) + c (b' / r - a'),   Jg a'' = s - t z_t - M(t)
 
-with torque factor n and angle ratio r, where M is the torque on the output that is wanted. Each
-function is known from the motion, the current and a few lengths and times (`Shape`); each
-coefficient is linear and has a spread, what it may be before anything is known (`Term`). A term is
-an order of the rotor's or the output's angle times what it modulates:
+with torque factor n and angle ratio r, where M is the unknown torque on the output. Each function
+is known from the motion, the current and a few lengths and times (`Shape`). Each coefficient is
+linear and has a prior standard deviation, its spread (`Term`). A term is an order of the rotor's or
+the output's angle times the quantity that it modulates:
 
     OFFSET            1                            constant current of the amplifier
-    INERTIA           b''                          what the parts' inertia is off
+    INERTIA           b''                          error of the stated inertia
     VISCOUS           b' cos, b' sin               drag, and drag by rotor angle
     COGGING           cos, sin                     torque by rotor angle, at once
     RIPPLE            lag(cos), lag(sin)           ripple of the amplifier, which lags
     GAIN_RIPPLE       lag(kT i cos), ..            ripple in proportion to the current
     SQUARE_RIPPLE     lag(kT i |i| cos), ..        and to its square
     BEARING           z_b                          friction of the short bristle
-    STRIBECK          z_b exp(-(b'/v)^2)           what it is more, slowly
+    STRIBECK          z_b exp(-(b'/v)^2)           its rise at low speed
     BEARING_DAMPING   b' while z_b changes         damping of pre-sliding
     HOUSING           z_h cos, z_h sin             friction of the long bristle, by output angle
-    HOUSING_SIDED     z_h^2                        of which one direction has more
+    HOUSING_SIDED     z_h^2                        its difference between the directions
     LOAD_FRICTION     z_h (sqrt(s^2 + o^2) - o)/n  friction that grows with the torque carried, less
                                                    where pre-tension o hides it; and the same times
                                                    cos, sin of the output angle
-    CARRIED           s / n                        what the torque factor is off
-    DELAY             kT di/dt                     time by which the current follows what is asked
+    CARRIED           s / n                        error of the torque factor
+    DELAY             kT di/dt                     delay of the current behind its set point
 
 Bristles z follow P. R. Dahl, AIAA J. 14(12) 1675-1682, 1976; two of them in series of lengths are
 the smallest model of the Generalised Maxwell-Slip family (F. Al-Bender, V. Lampaert, J. Swevers,
-Chaos 14(2) 446-460, 2004). What a rig's owner does not know is learned from known loads:
-`learning`.
+Chaos 14(2) 446-460, 2004). Unknown parameters are learned from known loads: `learning`.
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ from rigtool.numerics.arrays import Array
 
 
 class Kind(IntEnum):
-    """What a term is a function of; the numbers are those in run files."""
+    """The function of a term; the numbers are those in run files."""
 
     OFFSET = 1
     INERTIA = 2
@@ -72,7 +71,7 @@ class Kind(IntEnum):
 @dataclass(frozen=True)
 class Term:
     """One function: `order` of the angle (0 for none), `quarter` 0 for its cosine, 1 for its sine,
-    `spread` what its coefficient may be."""
+    `spread` the prior standard deviation of its coefficient."""
 
     kind: Kind
     spread: float
@@ -82,13 +81,13 @@ class Term:
 
 @dataclass(frozen=True)
 class Shape:
-    """What enters other than linearly.
+    """The parameters that enter other than linearly.
 
     Lengths of the bristles of bearing and housing, rad of the motor, and of the tip, rad of the
     output; `stribeck_speed` rad/s; `ripple_time` s of the lag; tendon `stiffness` N m/rad and
-    `damping` N m s/rad, `tip_friction` N m, the `grasper_inertia` kg m2 of the bare output,
-    the torque carried, `load_onset` N m, from which on friction grows with it, and the part of the
-    bearing's length that acts about rest, `resting_part`.
+    `damping` N m s/rad, `tip_friction` N m, the `grasper_inertia` kg m2 of the bare output;
+    `load_onset` N m, the torque in the tendon from which on friction grows with it; and the part of
+    the bearing's length that acts about rest, `resting_part`.
     """
 
     bearing_length: float
@@ -108,7 +107,7 @@ class Shape:
 class Known:
     """Known properties of the rig: `angle_ratio` motor angle per output angle, `torque_factor`
     output torque per motor torque, `inertia` kg m2 on the shaft, and the `offset` A that the
-    amplifier adds to what it is asked for."""
+    amplifier adds to its set point."""
 
     angle_ratio: float
     torque_factor: float
@@ -134,7 +133,7 @@ def functions(terms: Sequence[Term], state: RecordState) -> Array:
 
 
 class Prediction:
-    """The motor's torque along a record for given coefficients, to be asked for shapes near one."""
+    """The motor's torque along a record for given coefficients, at shapes near one."""
 
     def __init__(
         self,
@@ -161,7 +160,7 @@ class Prediction:
         return self.along(self._state.at(shape))
 
     def along(self, state: RecordState) -> Array:
-        """Return the same in another state of the record: of another shape, or another load."""
+        """Return the same in another state of the record, of another shape or another load."""
         record, shape = self._state.record, state.shape
         whole = self._fixed + state.carried / state.known.torque_factor
         if shape.ripple_time == self._shape.ripple_time:
@@ -224,7 +223,7 @@ class RecordState:
         return [np.exp(1j * self.output)]
 
     def _wave(self, term: Term) -> Array:
-        """Return the term's order of the output's angle (n,): products, not each order anew."""
+        """Return the term's order of the output's angle (n,), from products of lower orders."""
         turns = self._turns
         while len(turns) < term.order:
             turns.append(turns[-1] * turns[0])
@@ -279,8 +278,8 @@ def wave(term: Term, angle: Array) -> Array:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Of a rig: friction and ripple, N m at the motor, largest load, N m at the output, largest
-    current, A, and speed, rad/s."""
+    """Sizes of a rig: friction and ripple, N m at the motor, largest load, N m at the output,
+    largest current, A, and speed, rad/s."""
 
     friction: float
     ripple: float

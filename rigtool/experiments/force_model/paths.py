@@ -19,14 +19,14 @@ SWING_SETTLING_TIME = 2.0
 """Time after which a swing is taken to repeat itself, s."""
 
 RESONANCE_STEP = 0.05
-"""Longest step of the tendon's integration, in radians x of its resonance, which a leapfrog raises
-by x^2/24: a spring seems stiffer by 2e-4 of what it swings."""
+"""Longest step of the tendon's integration, in radians x of its resonance. A leapfrog raises the
+resonance by x^2/24, so that the stiffness seems larger by 2e-4."""
 
 
 def bristle(path: Array, length: float, periodic: bool) -> Array:
     """Return the deflection, -1 to 1 (n,), along a path (n,), both in rad.
 
-    A path that repeats is gone through twice, of which the second time counts.
+    A path that repeats is followed twice, and the second time counts.
     """
     found = np.empty(path.size)
     _bristle(path, length, 2 if periodic else 1, found)
@@ -121,8 +121,8 @@ def _tendon(
     output: Array,
 ) -> None:
     """Integrate by a leapfrog, of second order also with the damping: angles of the output and its
-    bristle are half a step ahead of its speed. What the tendon carries is a mean of both half steps
-    about a sample. Between samples the motor's angle is a cubic with mean slopes at both (E.
+    bristle are half a step ahead of its speed. The torque in the tendon is the mean of both half
+    steps about a sample. Between samples the motor's angle is a cubic with mean slopes at both (E.
     Catmull, R. Rom 1974): corners would let the output ring."""
     count = angle.size
     dt = interval / finer

@@ -1,8 +1,8 @@
 """A short motion that shows what strokes do not: pre-sliding, rest, reversals anywhere.
 
-Small triangles about the middle of the range keep friction within its bristles, from a few counts
-of the encoder to a part of the stroke; a hold shows it at rest; the remainder is free motion, with
-speeds, ways and pauses drawn from a fixed seed, so that each recording repeats it.
+Small triangles about the middle of the range, from a few counts of the encoder to a part of the
+stroke, keep friction within its bristles. A hold shows it at rest. The remainder is free motion
+with speeds, ways and pauses drawn from a fixed seed, so that each recording repeats it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ PAUSE_SHARE = 0.15
 """Share of free motion's moves that are followed by a pause of up to `HOLD_TIME`."""
 
 SHORTEST_PIECE = 1e-6
-"""Piece of the motion, s: shorter ones are rounding of longer ones."""
+"""Shortest piece of the motion, s: shorter ones are rounding."""
 
 MOTION_SEED = 20060607
 
@@ -44,8 +44,8 @@ def exploration(
 ) -> SpeedProfile:
     """Return the motion from `low`, within `low`..`high` rad, at most `fastest` rad/s.
 
-    `count` rad is that of the encoder; `time` s is what free motion lasts, about. Each `number` has
-    a free motion of its own.
+    `count` rad is that of the encoder; free motion lasts for about `time` s. Each `number` has a
+    free motion of its own.
     """
     path = _Path(low)
     path.go((low + high) / 2, fastest / 4)

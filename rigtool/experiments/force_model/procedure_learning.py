@@ -1,4 +1,4 @@
-"""From recordings of known loads to the model of motor and instrument that force is read with."""
+"""From recordings of known loads to the force model of motor and instrument."""
 
 from __future__ import annotations
 
@@ -52,12 +52,11 @@ FREE_SPEED = 2.0
 """Highest speed of free motion, rev/s of the output, where that was learned."""
 
 COMPARED_SPEEDS = 2
-"""Of the strokes under known loads, the slowest: errors of those without load and of those with the
-largest one show what u is, too."""
+"""Number of slowest speeds whose strokes, without load and under the largest one, also show u."""
 
 TURNING_SPEED_RATIO = 0.35
 """Part of the highest speed from which on the turns of moves show the inertia: at a third of the
-speed, it takes a tenth of the torque."""
+speed it takes a tenth of the torque."""
 
 UNLIMITED_REACH = Reach((-math.inf, math.inf), math.inf, math.inf, (-math.inf, math.inf))
 
@@ -76,9 +75,9 @@ def exploring(recipe: Recipe, number: int = 0) -> SpeedProfile:
 
 @dataclass(frozen=True)
 class LearnedForce:
-    """The `model` of motor and instrument, and what `sliding` alone shows, from the strokes under
-    known loads `strokes` by the names of their recordings; `scatter` is that of their cycles, in
-    that of most strokes, `shown` whether they show how strokes deviate."""
+    """The `model` of motor and instrument; the result of `sliding` alone; the `strokes` under known
+    loads by the names of their recordings; the `scatter` of their cycles over that of most strokes;
+    and whether they have `shown` how strokes deviate."""
 
     model: ForceModel
     sliding: SlidingFit
@@ -97,7 +96,7 @@ def learn_force(
 ) -> LearnedForce:
     """Learn from strokes under known loads, moves without one, and the exploration.
 
-    `checks` are motions under known loads that nothing is fitted to: they show what u is.
+    `checks` are motions under known loads to which nothing is fitted: they show u.
     Raises `InsufficientDataError` where they do not carry it.
     """
     rig = recipe.rig
@@ -143,7 +142,7 @@ def learn_force(
         fitted = [_errors(r, recipe, kt, model, creeping) for r in _compared(strokes)]
         parts = [*errors, *(replace(own, fitted=True) for own in fitted)]
         widths = scales(parts, shown=seen is not None)
-        # as far as the known loads are off, so is all that is read in terms of them
+        # an error of the known loads is one of all that is read in terms of them
         widths[..., 1] = np.hypot(widths[..., 1], rig.loads_relative_u)
         model = replace(model, scales=widths)
     slow, faster = untouched_motions(strokes, moves)
@@ -158,8 +157,8 @@ def learn_force(
 def untouched_motions(
     strokes: Sequence[Recording], moves: Sequence[Recording]
 ) -> tuple[list[Recording], list[Recording]]:
-    """Return the strokes without load at the slowest speed, and the moves that are faster: an error
-    that looks like a contact may show at some speeds alone."""
+    """Return the strokes without load at the slowest speed, and the faster moves: an error that
+    looks like a contact may show at some speeds only."""
     slowest = min(r.condition("speed") for r in strokes)
     slow = [r for r in strokes if (r.condition("speed"), r.condition("force")) == (slowest, 0)]
     return slow, [r for r in moves if r.condition("speed") > slowest]
@@ -212,7 +211,7 @@ def _errors(
 ) -> Errors:
     """Return the errors under a known load; a sliding rotor creeps below `slow` rad/s.
 
-    What acts is a hanging load that swings on its tendon: F r sin a + J a''.
+    The torque that acts is that of a hanging load that swings on its tendon: F r sin a + J a''.
     """
     own, under = _known(recording, recipe, kt)
     motion, corner_hz = _motion(own, under), recipe.measure_force.motion.corner_hz

@@ -1,4 +1,4 @@
-"""Recorded motions under known loads, on a grid: what a model of motor and instrument learns from.
+"""Recorded motions under known loads, on a grid: the data that the force model is learned from.
 
 All rows, measured and modelled, pass the same low-pass, evaluated by its spectrum: no phase shift,
 no delay. A motion that repeats is the mean of its cycles (`numerics.steady_mean`), on one period;
@@ -24,10 +24,11 @@ from rigtool.numerics.moves import rising_crossings
 from rigtool.numerics.steady_mean import steady_mean
 
 LOWPASS_HZ = 30.0
-"""Cut-off of all compared signals; friction's reversals and an instrument's swing lie below."""
+"""Cut-off of all compared signals; reversals of friction and the swing of an instrument lie
+below."""
 
 MOTION_HZ = 80.0
-"""Cut-off of the angle before it is differentiated: what is left of the encoder's steps."""
+"""Cut-off of the angle before it is differentiated, against the encoder's steps."""
 
 ROWS_HZ = 100.0
 """Rows a second."""
@@ -45,14 +46,14 @@ SLIDING_COUNT_RATE = 160.0
 """Counts a second below which a rotor does not slide evenly."""
 
 COUNTS_AFTER_TURN, AFTER_TURN_PART = 25.0, 1 / 70
-"""Counts, and part of the way, after a turn that are left out at least: bristles are bent again,
-however long they are."""
+"""Counts, and part of the way, after a turn that are left out at least: there the bristles, of
+whatever length, are bent again."""
 
 LOW_PASS_SPREAD = 0.04
 """Time over which the low-pass spreads a sample to either side, s."""
 
 FEWEST_CYCLES = 3
-"""Of a recording whose first one is kept, though it runs in."""
+"""Cycles of a recording up to which the first one is kept, although it runs in."""
 
 END_TIME = 0.3
 """Time left out at both ends of a motion that does not repeat, s: wrapping fades there."""
@@ -63,11 +64,11 @@ class Record:
     """One motion under one load.
 
     `interval` s of the grid; over the grid (n,): `angle` rad of the rotor, `current` A, `trusted`
-    where the rotor slides. `torque_constant` N m/A; the load's `moment` N m at 90
-    degrees of the output and its `load_inertia` kg m2 about it. `cycles` is how many were averaged,
-    0 for a motion that does not repeat. `torques` (cycles, rows) N m is what the motor puts out in
-    each of them, low-passed; empty where nothing repeats. `passes` is how often the rows go through
-    much the same: what a model misses comes back as often.
+    where the rotor slides. `torque_constant` N m/A; the load's `moment` N m at 90 degrees of the
+    output and its `load_inertia` kg m2 about it. `cycles` is how many were averaged, 0 for a motion
+    that does not repeat. `torques` (cycles, rows) N m are the motor's in each of them, low-passed;
+    empty where nothing repeats. `passes` is how often the rows go through much the same motion: the
+    errors of a model come back as often.
     """
 
     interval: float
@@ -169,9 +170,9 @@ def lowpassed_rows(signals: Array, interval: float, cutoff_hz: float = LOWPASS_H
 
 @dataclass(frozen=True)
 class LoadCase:
-    """Of a motion: the motor's `torque_constant` N m/A, the load's `moment` N m at 90 degrees and
-    its `load_inertia` kg m2, the `count` rad of the encoder, and the time `lead` s by which the
-    current that is asked for is recorded before it acts, in the middle of a sample and later."""
+    """Conditions of a motion: the motor's `torque_constant` N m/A, the load's `moment` N m at 90
+    degrees and its `load_inertia` kg m2, the `count` rad of the encoder, and the time `lead` s from
+    the record of a current until it acts, in the middle of a sample and later."""
 
     torque_constant: float
     moment: float
@@ -257,11 +258,11 @@ def _thinned(
 def _within(means: Array, place: Array, apart: float) -> Array:
     """Return the signal whose means over samples are given (n,), at places of them, `apart`.
 
-    It is the slope of the cubic spline through the sums of these means. A signal that is read as
-    its means, or interpolated linearly between these, is smaller: at a tenth of the samples' rate
-    by 2 and 5 %. At fewer places than samples, the steps of an encoder would be read as slow
-    torque where as many pass in a second: there it is the mean from place to place, less its
-    curvature (second difference) by 1/24, which restores what is slow.
+    It is the slope of the cubic spline through the sums of these means. The means themselves, or
+    a linear interpolation between them, would be smaller: at a tenth of the samples' rate by 2 and
+    5 %. At fewer places than samples, the steps of an encoder would alias to a slow torque where as
+    many pass in a second. There the signal is the mean from place to place, less 1/24 of its
+    curvature (second difference), which restores slow changes.
     """
     from scipy.interpolate import make_interp_spline
 
@@ -287,7 +288,8 @@ def _sliding(
 ) -> NDArray[np.bool_]:
     """Return where the rotor slides (n,): fast enough, and far enough from its last turn.
 
-    More slowly the loop nudges the rotor from count to count, to and fro within them unseen.
+    More slowly, the loop nudges the rotor from count to count, and its motion within them is
+    unseen.
     """
     after_turn = max(COUNTS_AFTER_TURN * count, AFTER_TURN_PART * float(np.ptp(angle)))
     bent = bristle(angle, after_turn / 4, periodic)

@@ -1,25 +1,25 @@
-"""Learning from rest, reversals and fast turns: the filter itself is run, nothing on the output.
+"""Learning from rest, reversals and fast turns, by running the filter with nothing on the output.
 
-Within a count the rotor's angle is not seen, and that is where bristles bend: a balance of torques
-at known angles cannot say how long they are. The filter of `kalman` carries the angle along between
-the edges. Where nothing acts on the output, the torque that it finds there is its error,
-which depends smoothly on lengths of bristles and on how friction is shared between them; so least
-squares over these few parameters, with what sliding showed as their prior, and in proportion to
-that everything else with them. Large errors count in proportion (P. J. Huber, Ann. Math. Stat.
-35(1) 73-101, 1964).
+Bristles bend within a count, where the rotor's angle is not seen: a balance of torques at known
+angles cannot show their lengths. The filter of `kalman` follows the angle between the edges. Where
+nothing acts on the output, the torque that it finds there is its error. The error depends smoothly
+on the lengths of the bristles and on how friction is shared between them. These few parameters are
+found by least squares, with the result of sliding as their prior; all other parameters move with
+them by their covariance. Large errors count in proportion (P. J. Huber, Ann. Math. Stat. 35(1)
+73-101, 1964).
 
 Turns of fast strokes show inertia, drag and friction by the angles themselves. A filter that knows
-that nothing acts predicts each angle with a standard deviation s; that the angle lies in its count
+that nothing acts predicts each angle with a standard deviation s. That the angle lies in its count
 then moves it by d s and leaves the part rho of its variance, and
 
     e = d / sqrt(1 - rho)
 
-has the mean 0 and the variance 1 if the model holds: the parameters are those of the least sum of
+has the mean 0 and the variance 1 if the model holds. The parameters are those of the least sum of
 e^2 (prediction errors: K. J. Astrom, Automatica 16(5) 551-574, 1980). The least torque would be
 biased: how much of an error a filter takes for torque depends on the parameters, too.
 
-About rest the filter errs less with a shorter bristle than the true one that turns show, even where
-all else is true: the part of its length that acts there is searched last.
+About rest the filter has smaller errors with a shorter bristle than the true one, which turns show,
+even where all else is true. The part of its length that acts there is searched last.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ BY_TURNS = Shown(
         Kind.HOUSING_SIDED,
     ),
 )
-"""What rest and reversals determine, and what the turns of fast strokes do."""
+"""What rest and reversals determine, and what the turns of fast strokes determine."""
 
 CORNER_HZ = 10.0
 FILTER_SETTLING_TIME = 1.0
@@ -81,11 +81,11 @@ ROW_ERROR = 0.03
 """Error of a row, in parts of the friction."""
 
 DEVIATION_TIME = 0.4
-"""Usual time for which a deviation of the model lasts, s: a stroke's lasts for all of it."""
+"""Usual time for which a deviation of the model lasts, s; that of a stroke lasts for all of it."""
 
 SHORT, LONG, SHARES = (0.5, 1.0, 2.0), (0.33, 0.66, 1.33, 2.66), (0.1, 0.2)
-"""Where the search begins: lengths of both bristles in parts of what they were said to be, and the
-short one's share of the friction; the best of all."""
+"""Where the search begins, at the best of all: lengths of both bristles over those of the model,
+and the short one's share of the friction."""
 
 HUBER_THRESHOLD = 2.0
 MAX_ITERATIONS = 8
@@ -97,24 +97,25 @@ LONGEST_PARAMETER_STEP = 2.0
 """Longest step of a parameter, in standard deviations of its prior."""
 
 UNTOUCHED_RANDOM_WALK = 1e-3
-"""Random walk of the torque here, N m per square root of a second: nothing acts, and what a filter
+"""Random walk of the torque here, N m per square root of a second. Nothing acts, and what a filter
 that expects contacts would take for one is an error of the model."""
 
 SPEED_RATE = 2.0
-"""Random walk of the speeds about rest, rad/s per square root of a second. A filter that is surer
-of its speed can lose a count and not find back: errors then leap where a parameter hardly changes,
-and the search stops at the next leap."""
+"""Random walk of the speeds about rest, rad/s per square root of a second. A filter with less can
+lose a count and not find back: the error then leaps where a parameter hardly changes, and the
+search stops at the next leap."""
 
 RESTING_PARTS = 0.4, 1.6
-"""Between which the part of the short bristle's length is that acts about rest."""
+"""Range in which the part of the short bristle's length that acts about rest is searched."""
 
 LEAST_INFORMED = 0.01
-"""Part 1 - rho of the angle's variance that is taken away, from which on it divides: below it a
-count says nothing."""
+"""Least part 1 - rho of the angle's variance that is divided by: with less, a count shows
+nothing."""
 
 ANGLE_ERROR = 3.0
-"""Error of an angle, in standard deviations of its prediction: what the equations leave out is
-alike in all turns. With 1, parameters were off by up to four of their uncertainties."""
+"""Error of an angle that counts as one standard deviation, in those of its prediction: errors of
+the equations are alike in all turns. With 1, parameters are off by up to four of their
+uncertainties."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,8 +152,8 @@ def learn_rest(
 
 
 def held(uncertainty: Uncertainty) -> Uncertainty:
-    """Return the uncertainty with which all this is learned: of hardly any torque on the output,
-    and a count taken in whole in each step, as prediction errors are those of whole counts."""
+    """Return the uncertainty for learning: hardly any torque on the output, and updates by the
+    whole count in each step, for which prediction errors are defined."""
     return replace(
         uncertainty,
         torque_rate=UNTOUCHED_RANDOM_WALK,
@@ -168,9 +169,9 @@ def learn_turns(
     """Return the model with the inertia, delay, drag and friction that the turns of fast strokes
     without load show.
 
-    The strokes have several speeds, but samples of one length: inertia grows with the speed squared
-    at a turn, and what else is off there does not. Sliding shows the inertia little, as turns are
-    left out there.
+    The strokes have several speeds, but samples of one length. The torque of inertia at a turn
+    grows with the speed squared, other errors there do not. Sliding shows the inertia little, since
+    turns are left out there.
     """
     return TurnsProblem(learned, strokes, held(uncertainty), BY_TURNS).solution([])
 
@@ -178,8 +179,8 @@ def learn_turns(
 def learn_resting_part(
     learned: LearnedModel, exploration: Exploration, uncertainty: Uncertainty
 ) -> LearnedModel:
-    """Return the model with the part of the short bristle's length that the filter that reads has
-    its least errors with about rest, in the same exploration."""
+    """Return the model with the part of the short bristle's length with which the filter that reads
+    forces has the least errors about rest, in the same exploration."""
     problem = RestProblem(learned, [exploration], held(uncertainty), BY_REST)
 
     def with_part(part: float) -> LearnedModel:
@@ -193,7 +194,7 @@ def learn_resting_part(
 
 
 class RestProblem:
-    """Errors of the filter by parameters: logarithms of the two lengths, then of what is shown.
+    """Errors of the filter by parameters: logarithms of the two lengths, then what is `shown`.
 
     Errors of all explorations follow one another; their samples have one length.
     """
@@ -225,10 +226,10 @@ class RestProblem:
         self.friction = plant.coulomb + plant.housing_friction
 
     keep = False
-    """Whether the filter keeps what its steps did."""
+    """Whether the filter keeps the data of its steps."""
 
     alike = math.sqrt(DEVIATION_TIME * ROWS_HZ)
-    """Square root of how many errors are alike."""
+    """Square root of the number of errors that count as one."""
 
     @property
     def scale(self) -> float:
@@ -236,7 +237,7 @@ class RestProblem:
         return ROW_ERROR * self.friction
 
     def model(self, parameters: Array) -> LearnedModel:
-        """Return the model with parameters (p,), all others moved as far as they go with them."""
+        """Return the model with parameters (p,); all others move with them by their covariance."""
         every = self.known + self.follows @ (parameters[2:] - self.known[self.shown])
         shape = stepped_shape(
             self.learned.shape,
@@ -348,12 +349,12 @@ class RestProblem:
 
 
 class TurnsProblem(RestProblem):
-    """The same of the angles that the filter predicts, in standard deviations: e of the module."""
+    """The same for the angles that the filter predicts, in standard deviations: e of the module."""
 
     keep, alike, scale = True, 1.0, ANGLE_ERROR
 
     def of(self, found: Estimate) -> Array:
-        """Return by how much the angles were corrected (r,)."""
+        """Return the corrections of the angles (r,)."""
         assert found.kept is not None
         moved, informed, variance = found.kept[2:5]
         errors: Array = moved * np.sqrt(variance / np.maximum(informed, LEAST_INFORMED))

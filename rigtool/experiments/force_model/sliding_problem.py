@@ -1,6 +1,6 @@
 """Least squares of records of known loads: sums over rows at a shape, priors, and weights.
 
-What the friction of a stroke deviates by itself is integrated out stroke by stroke. With rows A of
+The deviation of the friction of a stroke is integrated out stroke by stroke. With rows A of
 a stroke, deviations X b, b ~ N(0, S), and white noise of variance v,
 
     A' (v I + X S X')^-1 A = (A'A - A'X (v S^-1 + X'X)^-1 X'A) / v.
@@ -48,13 +48,13 @@ SHAPE_SPREAD = {
 """Prior standard deviation of the logarithm of each parameter."""
 
 DERIVATIVE_STEP = 0.002
-"""Step for derivatives by the logarithms: a tendon's stiffness is known to about that."""
+"""Step for derivatives by the logarithms: about the accuracy of a tendon's stiffness."""
 
 ROWS_PER_INDEPENDENT_ROW = 30.0
-"""Rows that one independent row is worth: friction's own noise lasts longer than a row."""
+"""Rows that count as one independent row: the noise of friction lasts longer than a row."""
 
 LEAST_RMS = 2e-3
-"""Smallest rms residual that a record is trusted to, in parts of the friction."""
+"""Smallest rms residual that is assumed for a record, in parts of the friction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +112,8 @@ class Problem:
         self._bent = [n for n, term in enumerate(terms) if term.kind not in FIXED]
 
     def _at(self, number: int, shape: Shape) -> _AtShape:
-        """Return what a record has at a shape; of the last one, what no shape changes is kept."""
+        """Return a record's values at a shape; those that no shape changes are kept from the
+        last."""
         record, last = self.records[number], self._at_shape.get(number)
         if last is not None and last.state.shape == shape:
             return last
@@ -151,7 +152,7 @@ class Problem:
         return found
 
     def derivatives(self, number: int, shape: Shape, coefficient: Array) -> Array:
-        """Return what a record shows of each parameter at its used rows (p, r), N m."""
+        """Return the derivatives by each parameter at a record's used rows (p, r), N m."""
         moves = self._moves(number, shape, coefficient)
         return np.vstack([moves, self._at(number, shape).rows[:-1]])
 
@@ -191,8 +192,8 @@ class Problem:
     ) -> tuple[Array, Array]:
         """Solve a normal matrix (p + 1, p + 1) at a shape, the `first` parameters being its step.
 
-        A `lift` adds that part of their own to the diagonal elements of the step, which shortens
-        it. Returns the solution (p,) and its covariance (p, p).
+        A `lift` increases the diagonal elements of the step by that part of themselves, which
+        shortens the step. Returns the solution (p,) and its covariance (p, p).
         """
         count = first + len(self.terms)
         scale = np.concatenate([self.shape_spread[:first], self.spread])
@@ -208,18 +209,19 @@ class Problem:
         return solution, covariance
 
     def cost(self, shape: Shape) -> tuple[Array, float]:
-        """Return the best coefficients (t,) at a shape, and the sum of squares of what they leave
-        and of what they and the shape are from their priors, in standard deviations."""
+        """Return the best coefficients (t,) at a shape, and the sum of squares, in standard
+        deviations, of the residuals and of the distances of coefficients and shape from their
+        priors."""
         normal = self.normal(shape, None).sum(axis=0)
         solution, _ = self.solved(normal, shape, 0)
         away = (logarithms(shape) - logarithms(self.start)) / self.shape_spread
         return solution, float(normal[-1, -1] - normal[-1, :-1] @ solution + away @ away)
 
     def weigh(self, shape: Shape, coefficient: Array, near: bool) -> None:
-        """Weigh the records by what a model with coefficients (t,) leaves of them.
+        """Weigh the records by the residuals of a model with coefficients (t,).
 
-        All alike while the search is far off; near its end each that the model does not reach by
-        what is left of it.
+        All alike while the search is far off. `near` its end, a record with larger residuals than
+        most is weighed by its own.
         """
         power = np.array(
             [

@@ -1,17 +1,18 @@
-"""Covariance of what is learned from sliding, by how the residuals are correlated in time.
+"""Covariance of the parameters learned from sliding, with residuals that are correlated in time.
 
     cov = H^-1 (P^-1 + sum over records of X' (R + T T') X / v^2) H^-1,  H = P^-1 + X' V^-1 X
 
-with the derivatives X by all parameters, P the priors, V what least squares takes for the noise, v
-its white part, and R the covariance of the residuals. Friction's noise lasts longer than a row and
-is small where a load swings on its tendon: a number of rows for one independent row is too large
-there, and too small for what hardly changes along a stroke. R has the residuals' own power in each
-record and, in all, the correlation that they have in common, by the window of E. Parzen (Ann. Math.
-Statist. 32(4) 951-989, 1961; as an estimator: D. W. K. Andrews, Econometrica 59(3) 817-858, 1991).
+with the derivatives X by all parameters, P the priors, V the covariance of the noise that least
+squares assumes, v its white part, and R the covariance of the residuals. Friction's noise lasts
+longer than a row and is small where a load swings on its tendon: one number of rows for an
+independent row is too large there, and too small for what hardly changes along a stroke. R has the
+residuals' own power in each record, and in all records their common correlation, by the window of
+E. Parzen (Ann. Math. Statist. 32(4) 951-989, 1961; as an estimator: D. W. K. Andrews, Econometrica
+59(3) 817-858, 1991).
 
-T is what the tendon carries more, at each place where the rotor stays within a count for a while,
-as it does where it turns, if it is one standard deviation of an even distribution off there: a load
-then swings otherwise, alike in all cycles.
+T is the additional torque in the tendon if the angle is off by one standard deviation of an even
+distribution, at each place where the rotor stays within a count for a while, as it does at a turn:
+a load then swings otherwise, alike in all cycles.
 """
 
 from __future__ import annotations
@@ -30,11 +31,11 @@ from rigtool.experiments.force_model.sliding_problem import Problem
 from rigtool.numerics.arrays import Array
 
 LONGEST_TIME = 1.0
-"""Time over which residuals are correlated, s: half of it or twice as much changes the uncertainty
-of a tendon's stiffness by 2 %."""
+"""Time over which residuals are correlated, s. Half or twice of it changes the uncertainty of a
+tendon's stiffness by 2 %."""
 
 WITHIN_COUNT_TIME = 4e-3
-"""Time within a count from which on it leaves the angle open, s: two samples of the grid."""
+"""Time within a count from which on the angle counts as open, s: two samples of the grid."""
 
 
 def moments(problem: Problem, shape: Shape, coefficient: Array, count: float) -> Array:

@@ -1,17 +1,17 @@
 """From recorded samples to the samples and steps of the filter.
 
-The filter advances by `SAMPLE_TIME` or less, and takes the angle in once in each `STEP_TIME`.
-Finer recordings are averaged; in coarser ones the current holds for the sample. Where these are
-means themselves, or too far apart, the angle between them comes from the encoder's edges
+The filter advances by `SAMPLE_TIME` or less, and uses the angle once in each `STEP_TIME`. Finer
+recordings are averaged; in coarser ones the current holds for the sample. Where recorded samples
+are means, or too far apart, the angle between them comes from the encoder's edges
 (`encoder_angle`):
 
     count = floor(angle / width of a count)
 
-The filter's equations are a leapfrog: speeds belong to the begin of a sample, angles to its middle.
-A loop reads the encoder at the begin of its samples. Where that is no middle of a sample of the
-filter, these begin earlier, by half a sample of the loop, or of the filter if that is shorter: the
-encoder is in the middle then, and nothing waits for the next sample. A current acts in two of them
-there.
+The filter's equations are a leapfrog: speeds belong to the beginning of a sample, angles to its
+middle. A loop reads the encoder at the beginning of its samples. Where that is not the middle of a
+sample of the filter, these begin earlier, by half a sample of the loop, or of the filter if that is
+shorter. The encoder reading is then in the middle, and nothing waits for the next sample; each
+current acts in two samples of the filter.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from rigtool.experiments.force_model.drive import MotorMap
 from rigtool.numerics.arrays import Array
 
 SAMPLE_TIME = 0.5e-3
-"""Longest sample of the filter, s: bristles and tendon swing within milliseconds. Half of it
-changed errors by less than they scatter from rig to rig."""
+"""Longest sample of the filter, s: bristles and tendon swing within milliseconds. With half of it,
+errors differ by less than they scatter from rig to rig."""
 
 STEP_TIME = 1e-3
-"""Time from one angle that the filter takes in to the next, s."""
+"""Time from one angle that the filter uses to the next, s."""
 
 AT_EACH_SAMPLE = 0.49
-"""Lead from which on a recording has each sample of the loop."""
+"""Lead, in recorded samples, from which on a recording has each sample of the loop."""
 
 LONGEST_EXACT = 1.5e-3
-"""Longest sample of a loop, s, of which each is a step: longer steps miss what bristles do."""
+"""Longest sample of a loop, s, that is a step by itself: bristles change within longer ones."""
 
 NO_CURRENT = 1e-3
 """Largest current of a motor that is not driven, A."""
@@ -48,7 +48,7 @@ CONTEXT_SAMPLES = 4096
 
 @dataclass(frozen=True)
 class FilterSteps:
-    """Samples of the filter in recorded ones: means of `averaged`, or `divided` into parts.
+    """Samples of the filter: means of `averaged` recorded ones, or one `divided` into parts.
 
     `sample_time` s is the filter's; `step_samples` of its samples are a step. The encoder of a
     recorded sample is read `lead` recorded samples before the time that it stands for. `earlier`:
@@ -75,7 +75,7 @@ class FilterSteps:
     @classmethod
     def of(cls, interval: float, loop_time: float) -> FilterSteps:
         """Return the grid for samples that were recorded every `interval` s by a loop that reads
-        the encoder at the begin of each sample of `loop_time` s."""
+        the encoder at the beginning of each sample of `loop_time` s."""
         averaged = max(1, int(SAMPLE_TIME / interval * (1 + 1e-6)))
         divided = max(1, int(np.ceil(interval / SAMPLE_TIME * (1 - 1e-6))))
         sample_time = interval * averaged / divided
@@ -125,10 +125,10 @@ class FilterSteps:
 
 
 class Sampler:
-    """Recorded samples as those of the filter, block by block; what is left of a block waits.
+    """Converts recorded samples to those of the filter, block by block; the rest of a block waits.
 
-    `count` rad is that of the encoder, `context` the recorded samples on either side that angles
-    between counts may come from: 0 where each sample is a count of its own, and nothing waits.
+    `count` rad is that of the encoder. `context` is the number of recorded samples on either side
+    from which angles between counts may come: 0 where each sample is a count, and nothing waits.
     """
 
     def __init__(
@@ -144,7 +144,7 @@ class Sampler:
         """Return the filter's input from samples (c, n), and the others at its samples (c - 3, k).
 
         The first three rows are the encoder in counts, the current in A, and the torque constant
-        in N m/A. After the `last` ones nothing waits but less than an average.
+        in N m/A. After the `last` ones only samples that do not fill an average are left.
         """
         grid, before = self._grid, self._before
         held = samples if self._held is None else np.hstack([self._held, samples])
@@ -166,7 +166,7 @@ class Sampler:
 
 
 class Stepper:
-    """Samples of the filter at the ends of its steps: the mean of both sides."""
+    """Signals at the ends of the filter's steps: the mean of the samples on both sides."""
 
     def __init__(self, step_samples: int) -> None:
         self._size = step_samples

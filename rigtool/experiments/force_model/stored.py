@@ -1,4 +1,4 @@
-"""The model that force over time is read with, in run files: how it is written and read back."""
+"""The model for force over time in run files: how it is written and read back."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def shape_results(learned: LearnedModel) -> dict[str, Quantity]:
 
 
 def model_tables(model: ForceModel) -> dict[str, Table]:
-    """Return coefficients and covariance of a model: what `model_from` reads back."""
+    """Return coefficients and covariance of a model, which `model_from` reads back."""
     learned = model.learned
     us = np.sqrt(np.diag(learned.covariance))[len(SLIDING_PARAMETERS) :]
     every = np.arange(len(learned.covariance))

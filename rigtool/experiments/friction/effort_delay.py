@@ -27,14 +27,15 @@ from rigtool.numerics.arrays import Array
 from rigtool.numerics.residual_covariance import long_run_covariance
 
 SIGNIFICANT_RATIO = 3.0
-"""Multiple of its uncertainty from which on a delay, or a difference by direction, is one."""
+"""Multiple of its uncertainty from which on a delay, or a difference by direction, is
+significant."""
 
 DELAY_STEPS = 5
 """Gauss-Newton steps for the delay."""
 
 SECOND_ORDER_RATIO = 2.0
-"""What a filter of first order changes, in terms of what it changes to second order at the delay
-that fits best: its time constant is longer than that delay."""
+"""Change by a first-order filter over its second-order change at the delay that fits best: the time
+constant of the filter is longer than that delay."""
 
 SAME_AS_OTHERS = 1e-6
 """Part of a regressor's power that rounding may leave unexplained by the others."""

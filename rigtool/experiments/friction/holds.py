@@ -220,7 +220,7 @@ def _uneven(angle: Array, step: float, sample: float, count: float) -> float:
 def _by_ripple(time: Array, angle: Array, torque: Array, revolutions: int) -> tuple[float, float]:
     """Return what to add to the mean torque where ripple varies the speed over a turn.
 
-    Ripple that belongs to the angle does no work in a whole turn, but the shaft is longer where
+    Ripple that belongs to the angle does no work in a whole turn, but the shaft stays longer where
     ripple holds it back: the mean over angle, int torque dangle / int dangle, is free of ripple,
     that over time is not. They differ by the mean of torque times relative speed, order by order;
     what noise adds has no order. Last, the part of torque and speed in quadrature: as much work as

@@ -31,7 +31,7 @@ BY_CHANCE = 0.01
 
 SHAKEN_RATIO = 5.0
 """Set points of this many times the current that friction takes are the loop's answer to the steps
-of the encoder, or to noise: a current that lags behind them is no line over them."""
+of the encoder, or to noise: a current that lags behind them is not a straight line over them."""
 
 
 GAIN_PARTS = 64

@@ -14,8 +14,8 @@ have in common at different times; a mean over a range that is due to chance doe
 mean at other times, however the residuals are correlated in time.
 
 The deviation of friction from a straight line over speed has a known shape (Stribeck), and so has a
-ripple about as long as the stroke, which is no pattern yet. A model with such a term shows by how
-much the parameters would change (`curvature`, `long_ripple`).
+ripple about as long as the stroke, which is too long for a pattern. A model with such a term shows
+by how much the parameters would change (`curvature`, `long_ripple`).
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
 
 t1 and t2 are the efforts at the same point of the motion, F1 and F2 the regressors of each run and
 p1 the parameters of the first one: what both runs share (ripple, other joints, friction that is no
-straight line) cancels, and the last term takes off that they did not move exactly alike. The runs
+straight line) cancels, and the last term corrects for motions that are not exactly alike. The runs
 are aligned by their positions. All terms pass the kernel of `motion_terms`.
 
 Two changes y and x against one first run have the ratio (instrumental variables, with the change x'
@@ -41,11 +41,12 @@ from rigtool.numerics.smoothing import CUTOFF, KernelSmoother, resample
 PAIRED_TERMS = ("inertia", "viscous", "coulomb", "offset", "gravity_cosine", "gravity_sine")
 
 DROPPED_TERMS = (("gravity_cosine", "gravity_sine"), ("inertia",), ("viscous",), ("coulomb",))
-"""Terms that a motion may not separate from the others, the first to go first."""
+"""Terms that a motion may not separate from the others, in the order in which they are dropped."""
 
 MIN_OWN_POWER = 1e-4
 """Smallest part of a term's power that the other terms may leave unexplained: what is hardly
-separated has a large uncertainty, and what is left out is taken for another term."""
+separated has a large uncertainty, and the effect of a term that is left out goes to another
+term."""
 
 SAME_MOTION = 0.1
 """Largest rms difference of aligned positions, relative to their standard deviation."""

@@ -91,8 +91,8 @@ def _ratio(mine: _Curve, base: _Curve, other: _Curve) -> Quantity:
     """Return the ratio of two differences against one curve: weighted least squares over speeds.
 
     Errors of the known difference would lower the ratio, and those of the curve that both share
-    move it towards one: both are taken off the sums (W. A. Fuller, Measurement Error Models, 1987,
-    section 2.2).
+    move it towards one: both are subtracted from the sums (W. A. Fuller, Measurement Error Models,
+    1987, section 2.2).
     """
     known = _minus(other, base)
     this = _minus(mine, base)

@@ -35,7 +35,7 @@ OFF_THE_LINE = 3.0
 """Multiple of its scatter by which the lowest speed must miss the line to be left out."""
 
 OTHER_VELOCITIES = 25
-"""Stribeck velocities that stand for all that the data may not resolve."""
+"""Number of Stribeck velocities that represent all those that the data may not resolve."""
 
 STRUCTURE_LIMIT = 0.08
 """Largest rms structure in the residuals, relative to the mean friction."""

@@ -1,18 +1,18 @@
-"""Torque that depends on the shaft's angle, found in whole turns and taken off the input.
+"""Torque that depends on the shaft's angle, found in whole turns and subtracted from the input.
 
 While the shaft turns, ripple and friction that differ around the turn,
 
     e(t) = sum over orders n of (a_n + c_n sign(w) + d_n w) cos(n angle), and the same with sin,
 
-drop out of the response to first order. To second order they do not: e follows the excited angle,
-too, and makes sidebands beside each excited line, which the loop answers and which e turns back
-onto that line. Friction d that grows with the speed w moves the viscous friction of the response
+cancel in the response to first order. To second order they do not: e also follows the excited angle
+and makes sidebands beside each excited line. The loop answers to these, and e turns them back onto
+that line. Friction d that grows with the speed w moves the viscous friction of the response
 by up to half the square of its relative amplitude (a linear plant that varies periodically: N. M.
 Wereley, S. R. Hall, Proc. 29th IEEE CDC, 1990, 3650).
 
-Torque asked less the torque that the fitted plant needs for the angle that was measured is e at
-all lines that are not excited. Least squares over them finds the amplitudes; noise over frequency
-is weighted as the residuals show it.
+At all lines that are not excited, e is the torque asked less the torque that the fitted plant needs
+for the measured angle. Least squares over these lines finds the amplitudes; the residuals give the
+weights of noise over frequency.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ NEIGHBOURS = 17
 """Lines whose residuals are averaged for their weight."""
 
 SPEED_RATIO = 1.25
-"""Fastest speed in terms of the slowest, from which on friction by the sign of the speed differs
+"""Ratio of the fastest to the slowest speed from which on friction by the sign of the speed differs
 from friction that grows with it."""
 
 WHOLE = 0.1

@@ -49,10 +49,11 @@ SECOND_MASS_SIGNIFICANCE = 1e-4
 """Probability that the test rejects the rigid plant wrongly."""
 
 DOUBT = 0.05
-"""The same, from which on a second mass that was not accepted counts as possible."""
+"""The same probability, below which a second mass that was not accepted counts as possible."""
 
 LITTLE_LEFT = 0.5
-"""Probability of what the rigid plant leaves, above which a second mass has nothing to explain."""
+"""Probability of the residuals of the rigid plant above which a second mass has nothing to
+explain."""
 
 MAX_EVALUATIONS = 500
 """Largest number of evaluations in one fit; without a second mass it does not converge."""

@@ -36,7 +36,7 @@ EFFORT_SIGNALS = ("torque", "current", "current_setpoint", "relative_torque")
 """Signals of a rotary motor's effort."""
 
 SAME_SETPOINT = 1e-3
-"""Relative difference of speeds that were asked for up to which they are one."""
+"""Relative difference up to which two speeds that were asked for count as one."""
 
 MOST_ORDERS = 1000
 """Highest order that imported runs are examined for, where they carry so many."""
@@ -84,7 +84,8 @@ class RepeatedRuns:
         return total
 
     def clear(self) -> Mask:
-        """Return the orders (m,) that stand out: of noise alone one in all would, by chance."""
+        """Return the orders (m,) that stand out; of noise alone, one would on average, by
+        chance."""
         spectrum = self.spectra["torque"]
         level = max(SIGNIFICANT_RATIO, math.sqrt(math.log(len(spectrum.order))))
         found: Mask = spectrum.amplitude > level * spectrum.noise_floor

@@ -71,8 +71,8 @@ LARGEST_FALL = 0.5
 """Largest part of the torque constant that heat may take: ferrite loses a fifth in 100 K."""
 
 SHAKING_LIMIT = 0.5
-"""Relative standard deviation of the speed, by the steps of the encoder, that ripple bears: on two
-drawn rigs no order was off at 0.4, and first orders were by 4 to 10 u at 0.8 to 3."""
+"""Largest relative standard deviation of the speed, by the steps of the encoder, without a note: on
+two drawn rigs no order was off at 0.4, and first orders were off by 4 to 10 u at 0.8 to 3."""
 
 MIN_STEADY_SAMPLES = 4
 """Smallest number of samples at constant speed, however few turns they make."""

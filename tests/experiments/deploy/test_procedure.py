@@ -379,11 +379,11 @@ def test_a_table_learned_on_the_drive_makes_it_run_evenly(tmp_path, capsys, monk
     with serve(device) as server:
         run("fft-ripple", RECIPE, "-o", before, settings=RIPPLE)
         run("ilc-learn", RECIPE, "--implementation", "B", "-o", tables, settings=TURNING)
-        told = run("deploy", tables, "--rig", RECIPE)
+        reported = run("deploy", tables, "--rig", RECIPE)
         run("fft-ripple", RECIPE, "-o", after, settings=RIPPLE)
     assert server.error is None
-    assert "stored and read back" in told
-    assert "ripple went from" in told
+    assert "stored and read back" in reported
+    assert "ripple went from" in reported
     assert device.stored["motor.cogging_dq_scale"] > 0
     with open_run(after) as run_with_it:
         assert "cogging table is on" in run_with_it.provenance["line"]
@@ -392,8 +392,10 @@ def test_a_table_learned_on_the_drive_makes_it_run_evenly(tmp_path, capsys, monk
     assert unevenness_left < unevenness / 3
 
 
-@pytest.mark.parametrize(("speed", "told"), [(11.0, "2 to 1"), (-13.0, "2 to 1"), (4.0, "5 to 4")])
-def test_ripple_is_told_of_the_learned_speed_next_to_this(speed, told):
+@pytest.mark.parametrize(
+    ("speed", "reported"), [(11.0, "2 to 1"), (-13.0, "2 to 1"), (4.0, "5 to 4")]
+)
+def test_ripple_is_reported_of_the_learned_speed_next_to_this(speed, reported):
     """Rms of the mean of both directions, and without what friction adds."""
     wave = 1e-3 * math.sqrt(2) * np.sin(2 * np.pi * np.arange(100) / 100)
     columns = {
@@ -403,4 +405,4 @@ def test_ripple_is_told_of_the_learned_speed_next_to_this(speed, told):
     }
     tables = {"residual_waveforms": columns}
     run = SimpleNamespace(tables=tables, table=lambda name, **units: tables[name])
-    assert f"ripple went from {told} mN m" in _ripple_remark(run, speed)
+    assert f"ripple went from {reported} mN m" in _ripple_remark(run, speed)

@@ -83,7 +83,7 @@ def test_stiffness_comes_back_from_the_shift(force, stiffness):
     assert results["lifting_torque"].value > 60e-3 > results["lowering_torque"].value
 
 
-def test_load_friction_is_told_from_the_rest(force):
+def test_load_friction_is_distinguished_from_the_rest(force):
     results = force(*STEADY, *FREE).results
     assert results["load_friction"].value == pytest.approx(0, abs=0.6e-3)
     assert results["lifting_torque"].value == pytest.approx(60e-3, rel=0.02)

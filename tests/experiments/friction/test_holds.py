@@ -7,7 +7,14 @@ from scipy import stats
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
-from rigtool.experiments.friction.holds import Holds, _around, _warm_up, find_holds
+from rigtool.experiments.friction.holds import (
+    NOISE_ORDINATES,
+    Holds,
+    _around,
+    _uncertainty,
+    _warm_up,
+    find_holds,
+)
 
 SPEED, TURNS, SAMPLES, DRAWS = 10.0, 6, 1200, 200
 
@@ -37,6 +44,12 @@ def test_intervals_hold_wherever_the_noise_has_its_corner(cycles, lowest):
     exact = 0.1 * np.sqrt(1 - (1 - np.exp(-2 * np.pi * cycles)) / (2 * np.pi * cycles))
     exact /= np.sqrt(np.pi * cycles)
     assert 0.8 < np.sqrt(np.mean(np.square(u))) / exact < 1.45
+
+
+def test_a_hold_without_noise_has_the_degrees_of_freedom_of_its_spectrum():
+    """Each ordinate of a periodogram is a chi-square of two degrees of freedom."""
+    assert _uncertainty(np.full(SAMPLES, 5.0), TURNS) == (0.0, 2 * NOISE_ORDINATES)
+    assert _uncertainty(np.full(25, 5.0), 1) == (0.0, 2 * 12)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -192,7 +192,7 @@ def test_runs_that_do_not_go_together(tmp_path):
         analyse(paths[1:], tmp_path / "g.h5")
 
 
-def test_wrong_signs_are_told(tmp_path):
+def test_wrong_signs_are_reported(tmp_path):
     paths = take(tmp_path, HELD.replace('"mN m" }', '"mN m", sign = -1 }'), holds(0))
     with pytest.raises(InsufficientDataError, match="signs of current and encoder"):
         analyse(paths, tmp_path / "f.h5")

@@ -158,7 +158,7 @@ def test_uncertainties_are_not_larger_than_the_scatter_asks_for():
     assert np.all((ratio > 0.7) & (ratio < 1.5)), ratio
 
 
-def test_what_is_beside_the_model_is_told():
+def test_what_is_beside_the_model_is_reported():
     random = np.random.default_rng(9)
     time, position, speed, acceleration = multisine(random, 20)
     torque = INERTIA * acceleration + VISCOUS * speed + COULOMB * np.sign(speed)

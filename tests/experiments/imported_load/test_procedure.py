@@ -320,7 +320,7 @@ def test_where_everything_is_outside_nothing_is_written(learned, tmp_path):
     assert not (tmp_path / "f.h5").exists()
 
 
-def test_runs_that_were_learned_from_are_told(learned, tmp_path):
+def test_runs_that_were_learned_from_are_reported(learned, tmp_path):
     runs = instrument(tmp_path, (0.02, 0.04, 0.06))
     found = rigtool("measure-force", *runs, "--tables", learned, "-o", tmp_path / "f.h5")
     assert found.exit_code == 0, found.stderr

@@ -108,7 +108,7 @@ def test_a_held_out_run_fits_and_little_is_left(rig):
     assert both.results["mean_current_change"].u is not None
 
 
-def test_a_slipped_index_is_told(rig):
+def test_a_slipped_index_is_reported(rig):
     folder, paths, _ = rig
     outcome = check([paths["off_slipped"]], folder / "map.h5", folder / "check.h5")
     assert not ilc_check.fits(outcome)
@@ -180,7 +180,7 @@ def test_runs_of_noise_teach_nothing(tmp_path):
 
 @needs_data
 def test_the_odrive_set_learned_and_held_out(tmp_path):
-    """As docs/odrive-cogging.md tells it."""
+    """As docs/odrive-cogging.md shows it."""
     mapping = load_mapping(ROOT / "recipes" / "import" / "odrive-slow.toml")
     import_files([str(COGGING / "slow2")], str(tmp_path / "runs"), mapping)
     runs = [tmp_path / "runs" / f"nocomp_{n}.h5" for n in range(3)]

@@ -140,7 +140,7 @@ def test_the_stored_moves_give_the_same_again(learned, folder, kt):
     np.testing.assert_array_equal(table.amplitude, outcome.tables["amplitude"]["amplitude"])
 
 
-def test_another_filter_is_told_from_the_one_that_was_recorded(learned, folder, kt):
+def test_another_filter_is_distinguished_from_the_one_that_was_recorded(learned, folder, kt):
     path, outcome = learned
     other = run(ILC_LEARN, path, folder / "other.h5", "ilc_learn.robustness_hz=20", kt=kt)
     assert any("residual belongs to the recorded one" in note for note in other.notes)

@@ -60,7 +60,7 @@ def test_uncertainties_are_those_of_repeated_experiments():
 
 
 def test_shifts_are_followed_from_speed_to_speed():
-    """Beyond half a period of the leading order a single speed could not tell."""
+    """Beyond half a period of the leading order a single speed could not show it."""
     speeds = np.array([-12.0, -9, -6, -3, 3, 6, 9, 12, 15])
     shifts = 0.35 * (6.0 - speeds) / 3
     rows = [row(s, 1.0, d) for s, d in zip(speeds, shifts, strict=True) if s != 6.0]

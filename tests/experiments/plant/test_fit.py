@@ -44,7 +44,7 @@ def test_without_scatter_it_is_the_plant():
     assert abs(fit.delay) < 1e-11
 
 
-def test_an_amplifiers_lag_is_told_from_the_plant():
+def test_an_amplifiers_lag_is_distinguished_from_the_plant():
     """1/(1 + s tau): a delay of tau, and a gain of 1 - (w tau)^2/2."""
     fit = fitted(RIGID, 0, noise=1e-6)
     assert fit.delay == pytest.approx(70e-6, rel=0.01, abs=0)

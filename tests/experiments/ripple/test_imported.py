@@ -148,7 +148,7 @@ def test_a_linear_axis_has_no_turns(tmp_path):
         analyse(paths, tmp_path / "r.h5")
 
 
-def test_a_turned_map_is_told(tmp_path):
+def test_a_turned_map_is_reported(tmp_path):
     random = np.random.default_rng(1)
     angle = np.arange(256) * 2 * np.pi / 256
     order = np.arange(1, 20)

@@ -92,7 +92,7 @@ def test_a_gap_of_one_turn_is_filled_from_the_others():
     assert filled[1, 3] == 3.0
 
 
-def test_a_gap_of_all_turns_is_bridged_and_told():
+def test_a_gap_of_all_turns_is_bridged_and_reported():
     values = np.array([[0.0, np.nan, np.nan, 3.0, 2.0, 1.0, 0.0, 0.0]])
     filled, gap = fill(values)
     assert filled[0, 1:3].tolist() == [1.0, 2.0]
@@ -182,7 +182,7 @@ def test_cells_leave_no_pattern_of_their_own(samples):
 @given(st.integers(1, 59))
 @settings(deadline=None, max_examples=20)
 def test_orders_that_samples_at_the_same_angles_do_not_tell_apart(order):
-    """60 samples a turn show order 36 as 24; at 60.6 they tell 36 from 24."""
+    """60 samples a turn show order 36 as 24; at 60.6 they distinguish 36 from 24."""
     sums = {60.0: True, 60.6: False}
     for samples, aliased in sums.items():
         turns = evenly(samples, 80, ())[1]

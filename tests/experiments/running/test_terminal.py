@@ -146,9 +146,9 @@ def test_target_that_keeps_its_log_is_drawn_by_what_it_tells(tmp_path, capsys, m
         on_line = [part for value in settings for part in ("--set", value)]
         code, _, err = call(capsys, *fft_ripple(tmp_path, "--live", "--yes", *on_line))
     assert code == 0, err
-    told = [line for line in err.split("\n") if STATUS_ONLY in line]
-    assert len(told) >= 2
-    times = [float(line.split()[-2]) for line in told]
+    reported = [line for line in err.split("\n") if STATUS_ONLY in line]
+    assert len(reported) >= 2
+    times = [float(line.split()[-2]) for line in reported]
     assert times == sorted(times)
     drawn = err[err.index(STATUS_ONLY) :]
     assert all(f"\x1b[K  {name} " in drawn for name in ("encoder", "current", "temperature"))

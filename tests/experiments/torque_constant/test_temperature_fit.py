@@ -337,7 +337,7 @@ def test_same_angles_at_each_temperature():
     found = analyse(bench, bench.record(shifted=False))
     assert found.rotor_angles == 8
     assert_allclose(found.torque_constant.value, 45.8e-3, rtol=5e-4)
-    # An eighth order cannot be told from the mean: that is uncertainty.
+    # An eighth order cannot be distinguished from the mean: that is uncertainty.
     assert found.components["ripple over rotor angles"] > 5 * found.components["scatter"]
     assert_allclose(found.coefficient.value, -1.16e-3, rtol=0.02)
 

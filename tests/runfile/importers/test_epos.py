@@ -114,7 +114,7 @@ def test_a_header_that_was_damaged_is_named_by_its_line(tmp_path):
         take(source)
 
 
-def test_a_file_that_ends_early_is_told_by_its_header(tmp_path):
+def test_a_file_that_ends_early_is_reported_by_its_header(tmp_path):
     source = write(tmp_path / "n2.csv", rows=ROWS[:3])
     with pytest.raises(RunFileError, match="line 14: the file ends here, 2 of 5 recorded samples"):
         take(source)

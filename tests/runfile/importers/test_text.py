@@ -194,7 +194,7 @@ def test_files_that_hold_nothing_of_use(tmp_path, content, message):
         take(tmp_path / "a.csv", tmp_path / "a.h5")
 
 
-def test_a_missing_name_is_told_with_those_there(tmp_path):
+def test_a_missing_name_is_reported_with_those_there(tmp_path):
     source = write(tmp_path / "a.csv", ["t,q,i", *lines()])
     text = TEXT.replace("column = 3", 'column = "amps"')
     with pytest.raises(RunFileError, match=r"no column 'amps', only t, q, i"):

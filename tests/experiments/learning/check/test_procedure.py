@@ -90,7 +90,7 @@ def test_a_power_cycle_is_another_pattern(turned, folder, kt):
     assert difference.value > 3 * difference.u
 
 
-def test_friction_that_drifted_is_told(turned, folder, kt):
+def test_friction_that_drifted_is_reported(turned, folder, kt):
     tables, seed = turned
     change = 0.6e-3 * (-1) ** seed
     drifted = f"virtual.motor.coulomb_friction={2.3e-3 + change}"
@@ -137,7 +137,7 @@ def unchanged(turned, folder, kt):
 
 
 @pytest.mark.parametrize("counts", [2000, 300])
-def test_a_slip_of_the_index_is_told_with_its_counts(turned, unchanged, kt, counts):
+def test_a_slip_of_the_index_is_reported_with_its_counts(turned, unchanged, kt, counts):
     tables, _ = turned
     with open_run(unchanged[0]) as stored, open_run(tables) as table, open_run(kt) as k:
         outcome = ilc_check.analyse([Slipped(stored, counts)], stored.recipe, tables=table, kt=k)
@@ -161,7 +161,10 @@ def test_an_instrument_is_checked_on_its_range(moved, folder, kt):
     assert "a part of the turn does not show which" in power.notes[0]
     stiff = check(tables, folder, kt, "virtual.instrument.friction=12.6e-3", seed=seed)
     assert not ilc_check.fits(stiff)
-    assert "friction has changed by +2" in stiff.notes[0]
+    change = stiff.results["friction_change"]
+    stated = f"{change.value * 1e3:+.2g} +- {change.u * 1e3:.1g} mN m"
+    assert f"friction has changed by {stated}" in stiff.notes[0]
+    assert stated.startswith("+2")
     assert "another shape" not in stiff.notes[0]
 
 

@@ -1,4 +1,4 @@
-"""What became of a learned table: each change is found, told by its size, and no other."""
+"""What became of a learned table: each change is found and reported by its size, and no other."""
 
 import math
 
@@ -95,7 +95,7 @@ def test_an_unchanged_rig_fits(seed, part):
 
 @pytest.mark.parametrize("seed", first_of(SEEDS))
 @pytest.mark.parametrize("shift", [math.pi, 0.5, -2.0])
-def test_a_shifted_pattern_is_told_by_its_shift(seed, shift):
+def test_a_shifted_pattern_is_reported_by_its_shift(seed, shift):
     table, u = learned(seed)
     found = checked(table, u, now(table, seed, shift=shift))
     assert not found.fits
@@ -119,7 +119,7 @@ def test_without_scatter_shifts_are_exact(shift, seed):
 
 
 @pytest.mark.parametrize("seed", first_of(SEEDS))
-def test_friction_that_has_changed_is_told_by_its_size(seed):
+def test_friction_that_has_changed_is_reported_by_its_size(seed):
     table, u = learned(seed)
     found = checked(table, u, now(table, seed, friction=0.5e-3))
     assert not found.fits
@@ -152,7 +152,7 @@ def test_another_pattern_is_neither_shift_nor_scale(seed, part):
     assert found.even > found.odd
 
 
-def test_a_larger_pattern_is_told_by_its_scale():
+def test_a_larger_pattern_is_reported_by_its_scale():
     table, u = learned()
     found = checked(table, u, now(table, scale=1.4))
     assert not found.fits

@@ -164,7 +164,7 @@ def test_the_stored_turns_give_the_same_again(learned, folder, kt):
     assert table.torque.shape == (6, 4000)
 
 
-def test_another_filter_is_told_from_the_one_that_was_recorded(learned, folder, kt):
+def test_another_filter_is_distinguished_from_the_one_that_was_recorded(learned, folder, kt):
     other = run(ILC_LEARN, learned[0], folder / "other.h5", "ilc_learn.robustness_hz=10", kt=kt)
     assert any("residual belongs to the recorded one" in note for note in other.notes)
 

@@ -143,7 +143,7 @@ def test_watchdog_stops_a_drive_whose_cable_is_pulled(name):
     assert "reset communication" in device.log
 
 
-def test_host_that_stalls_is_told_that_the_watchdog_acted():
+def test_host_that_stalls_is_reported_that_the_watchdog_acted():
     device = CiA402Emulator()
     with serve(device) as server, can_rig(server.port) as rig:
         rig.drive.enable("velocity")
@@ -170,7 +170,7 @@ def test_drive_that_ignores_silence_is_named():
 
 
 @pytest.mark.parametrize(
-    ("objects", "told"),
+    ("objects", "reported"),
     [
         ({(0x1000, 0): (U32, 0x000F0191)}, "is no drive of CiA 402"),
         ({(0x60A9, 0): (U32, None)}, "set serial.speed_unit_rpm"),
@@ -180,9 +180,9 @@ def test_drive_that_ignores_silence_is_named():
         ({(0x608F, 1): (U32, 2000)}, "set to 2000 counts"),
     ],
 )
-def test_drive_that_cannot_be_measured_with_is_refused_before_anything_moves(objects, told):
+def test_drive_that_cannot_be_measured_with_is_refused_before_anything_moves(objects, reported):
     device = CiA402Emulator(objects)
-    with serve(device) as server, pytest.raises((HardwareError, RecipeError), match=told):
+    with serve(device) as server, pytest.raises((HardwareError, RecipeError), match=reported):
         can_rig(server.port).__enter__()
     assert device.log == []
 
@@ -294,7 +294,7 @@ def test_current_at_a_steady_speed_is_that_of_friction(name):
 
 
 @pytest.mark.parametrize("name", ["cia402-drive", "maxon-epos4-can"])
-def test_what_would_move_with_a_shipped_recipe_is_told(name, tmp_path, capsys):
+def test_what_would_move_with_a_shipped_recipe_is_reported(name, tmp_path, capsys):
     recipe, kt = ROOT / "recipes" / f"{name}.toml", ROOT / "tests" / "fixtures" / "kt.h5"
     arguments = [recipe, "-o", tmp_path / "r.h5", "--dry-run"]
     code, out, err = call(capsys, "stribeck", *arguments, "--kt", kt)

@@ -170,14 +170,14 @@ def test_the_process_beside_switches_it_off():
         assert (device.enabled, device.target) == (0, 0.0)
 
 
-def test_the_guard_is_told_when_it_is_on_alive_and_off():
-    told = []
-    note = type("Guard", (), {"__getattr__": lambda self, word: lambda: told.append(word)})()
+def test_the_guard_is_reported_when_it_is_on_alive_and_off():
+    reported = []
+    note = type("Guard", (), {"__getattr__": lambda self, word: lambda: reported.append(word)})()
     with serve(SimpleFocEmulator()) as server, simplefoc_rig(server.port) as rig:
         rig.drive._guard = note
         perform(rig, Task(SpeedProfile((0.0, 0.1, 0.2), (0.0, 1.0, 0.0))))
-    assert told.index("watch") < told.index("beat") < told.index("rest")
-    assert told[-1] == "close"
+    assert reported.index("watch") < reported.index("beat") < reported.index("rest")
+    assert reported[-1] == "close"
 
 
 def test_a_record_plays_back_with_the_same_signals(tmp_path):

@@ -100,7 +100,7 @@ def friction_fits(rig, **settings):
             ("moteus", 0.004, 3e-4, 1e-3),
             ("moteus", 0.01, 8e-4, 1e-3),
         ),
-        # It tells current in mA, 45 uN m: half of that over 28 rad/s is 3 % of viscous friction.
+        # It reports current in mA, 45 uN m: half of that over 28 rad/s is 3 % of viscous friction.
         ("maxon", 0.02, 3e-4, 0.03),
     ],
 )

@@ -197,7 +197,7 @@ HOLDS = (
     ],
 )
 def test_friction_is_within_its_uncertainty(world, chain, name, period, u):
-    """`u` is what viscous friction may be uncertain by, relative: a drive tells it or not."""
+    """`u`: viscous friction is as uncertain, relative, with drives that report it or do not."""
     device, rig = emulated(world, name, period, *HOLDS)
     found = chain(STRIBECK, device, rig).results
     for result, truth in (

@@ -245,7 +245,7 @@ def test_no_wrong_number_from_a_bad_line(driver, name, monkeypatch):
     assert server.error is None
 
 
-def test_overload_is_told_and_leaves_a_hole():
+def test_overload_is_reported_and_leaves_a_hole():
     force = [3.0]
     device = Mark10Emulator(lambda: force[0], highest=5)
     with serve(device) as server, opened("mark10", server.port) as instrument:
@@ -270,7 +270,7 @@ def test_unstable_readings_are_used_and_counted():
 
 @pytest.mark.parametrize("fault", [Fault("pull", at=20), Fault("silence", at=20)])
 @pytest.mark.parametrize("driver", ["mark10", "number-lines"])
-def test_instrument_that_is_gone_is_told(driver, fault, monkeypatch):
+def test_instrument_that_is_gone_is_reported(driver, fault, monkeypatch):
     monkeypatch.setattr("rigtool.rigs.serial.instruments.readings.Polled.timeout", 0.03)
     monkeypatch.setattr(gauge, "MAX_SILENCE", 0.2)
     monkeypatch.setattr("rigtool.rigs.serial.instruments.number_lines.NUMBER_TIMEOUT", 0.05)

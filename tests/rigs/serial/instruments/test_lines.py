@@ -81,7 +81,7 @@ def test_vectors(name, line, value):
         ("scpi", b"+9.91000000E+37", NO_VALUE),
     ],
 )
-def test_what_is_no_value_is_told_from_what_is_damaged(name, line, flag):
+def test_what_is_no_value_is_distinguished_from_what_is_damaged(name, line, flag):
     reading = parsed(name, line)
     assert reading.flag == flag
     assert math.isnan(reading.value)

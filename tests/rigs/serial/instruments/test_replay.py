@@ -90,13 +90,13 @@ BAD_LINE = [
 @pytest.mark.parametrize("driver", GAUGES)
 def test_instruments_play_back_bit_for_bit(driver, tmp_path, monkeypatch):
     monkeypatch.setattr("rigtool.rigs.serial.instruments.readings.Polled.timeout", 0.05)
-    (first, facts, ended), (again, told, _), _ = twice(
+    (first, facts, ended), (again, reported, _), _ = twice(
         tmp_path, GAUGES[driver], *BAD_LINE, driver=driver
     )
     assert ended == ""
     assert np.ptp(np.concatenate([block["force"] for block in first])) > 15
     assert_same(first, again)
-    assert told["instruments"] == facts["instruments"]
+    assert reported["instruments"] == facts["instruments"]
     force = facts["instruments"]["force"]
     assert force["discarded_lines"] + force["retries"] + force["spikes"] > 0
 

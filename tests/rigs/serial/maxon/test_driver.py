@@ -189,7 +189,7 @@ def test_current_is_stepped(device):
 
 
 def test_turns_of_a_rotor_position_are_counted():
-    # a DES tells where the rotor is within a turn
+    # a DES reports where the rotor is within a turn
     with serve(DesEmulator()) as server, maxon_rig(server.port) as rig:
         got = perform(rig, Task(SpeedProfile((0.0, 0.1, 0.5, 0.6), (0.0, 40.0, 40.0, 0.0))))
     turned = (got["encoder"][-1] - got["encoder"][0]) * 2 * np.pi / 4000
@@ -266,7 +266,7 @@ def test_nobody_claims_a_watchdog(device):
         assert not rig.drive.abilities.watchdog
 
 
-def test_a_drive_left_alone_goes_on_within_its_limits_until_told(device):
+def test_a_drive_left_alone_goes_on_within_its_limits_until_commanded(device):
     more = ("serial.limits.current=0.5", "serial.limits.speed=20")
     with serve(device) as server:
         rig = maxon_rig(server.port, *more).__enter__()
@@ -431,18 +431,18 @@ def test_run_ends_with_a_message_and_the_drive_off(device, fault, message):
     assert server.error is None
 
 
-def test_fault_of_the_drive_is_told(epos4):
+def test_fault_of_the_drive_is_reported(epos4):
     got = []
     with serve(epos4) as server:
-        told = r"reports the fault 0x2310 .* clear it"
-        with pytest.raises(HardwareError, match=told), maxon_rig(server.port) as rig:
+        reported = r"reports the fault 0x2310 .* clear it"
+        with pytest.raises(HardwareError, match=reported), maxon_rig(server.port) as rig:
             broken_off(rig, got, lambda: epos4.fault(0x2310))
         with pytest.raises(HardwareError, match="reports the fault"):
             maxon_rig(server.port).__enter__()
     assert got
 
 
-def test_error_of_a_des_is_told():
+def test_error_of_a_des_is_reported():
     device = DesEmulator()
     device.error = True
     with serve(device) as server, pytest.raises(HardwareError, match="reports an error"):

@@ -96,10 +96,12 @@ def test_rigtool_that_hangs_leaves_it_off_and_says_so_when_it_goes_on(tmp_path):
         process.send_signal(signal.SIGSTOP)
         wait_until(lambda: device.mode is None)
         process.send_signal(signal.SIGCONT)
-        told = process.stderr.read()
+        reported = process.stderr.read()
         assert process.wait(60) == 5
-    assert "was killed, hangs or lost the line while the drive was on: it is switched off" in told
-    assert re.search("ms late|is switched off|is gone", told)
+    assert (
+        "was killed, hangs or lost the line while the drive was on: it is switched off" in reported
+    )
+    assert re.search("ms late|is switched off|is gone", reported)
     assert (tmp_path / "x.h5.part").exists()
 
 
@@ -121,28 +123,28 @@ def test_a_guard_that_is_not_needed_does_nothing():
 
 
 class Notes:
-    """A guard that only notes what it is told."""
+    """A guard that only notes what it is reported."""
 
     def __init__(self):
-        self.told = []
+        self.reported = []
 
     def __getattr__(self, word):
-        return lambda: self.told.append(word)
+        return lambda: self.reported.append(word)
 
 
-def test_a_guard_is_told_when_the_drive_is_on_alive_and_off():
+def test_a_guard_is_informed_when_the_drive_is_on_alive_and_off():
     """Between motions, however long they are apart, it is not to switch anything off."""
     short = Task(SpeedProfile((0.0, 0.1, 0.2, 0.3), (0.0, 4.0, 4.0, 0.0)))
     with serve(Epos4Emulator()) as server, maxon_rig(server.port) as rig:
         notes = rig.drive.guard = Notes()
         for _ in range(2):
-            notes.told.clear()
+            notes.reported.clear()
             list(rig.perform(short))
-            on, off = notes.told.index("watch"), notes.told.index("rest")
-            assert notes.told.count("watch") == 1
-            assert notes.told[on + 1 : off].count("beat") > 5
-            assert set(notes.told[off:]) <= {"rest", "beat"}
-    assert notes.told[-1] == "close"
+            on, off = notes.reported.index("watch"), notes.reported.index("rest")
+            assert notes.reported.count("watch") == 1
+            assert notes.reported[on + 1 : off].count("beat") > 5
+            assert set(notes.reported[off:]) <= {"rest", "beat"}
+    assert notes.reported[-1] == "close"
 
 
 def turned_while_its_guard_is_killed(rig):

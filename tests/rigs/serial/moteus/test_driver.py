@@ -313,7 +313,7 @@ def test_a_position_that_is_lost_ends_the_run_and_is_not_recorded():
     assert device.mode == 0
 
 
-def test_a_fault_of_the_drive_is_told_by_name():
+def test_a_fault_of_the_drive_is_reported_by_name():
     device = MoteusEmulator()
     with serve(device) as server, moteus_rig(server.port) as rig:
         running = rig.perform(Task(SpeedProfile((0.0, 0.1, 2.0), (0.0, 4.0, 4.0))))

@@ -121,17 +121,17 @@ def test_torque_constant_must_be_stated():
 
 
 @pytest.mark.parametrize(
-    ("new", "error", "told"),
+    ("new", "error", "reported"),
     [
         (False, 0x40, "MOTOR_FAILED"),
         (True, 0x20000, "REQUESTED_CURRENT_TOO_HIGH"),
         (True, 0x400000, "0x400000"),
     ],
 )
-def test_fault_is_named_and_stays(new, error, told):
+def test_fault_is_named_and_stays(new, error, reported):
     device = ODriveCanEmulator(new=new)
     device.error = error
-    with serve(device) as server, pytest.raises(HardwareError, match=f"reports {told}"):
+    with serve(device) as server, pytest.raises(HardwareError, match=f"reports {reported}"):
         can_rig(server.port).__enter__()
     assert device.error & error
 
@@ -162,7 +162,7 @@ def test_reset_during_a_motion_ends_it(device):
         perform(rig, FAST)
 
 
-def test_silent_bus_is_told():
+def test_silent_bus_is_reported():
     device = ODriveCanEmulator()
     device.live = lambda: None
     with serve(device) as server, pytest.raises(HardwareError, match="no heartbeat of node 0"):

@@ -569,7 +569,7 @@ def test_recipe_of_a_hobby_motor_says_what_it_would_do(tmp_path, capsys, command
 
 
 @pytest.mark.parametrize(
-    ("code", "told"),
+    ("code", "reported"),
     [
         (0x20000, ["REQUESTED_CURRENT_TOO_HIGH"]),
         (0x1000020, ["DRV_FAULT", "WATCHDOG_TIMER_EXPIRED"]),
@@ -577,5 +577,5 @@ def test_recipe_of_a_hobby_motor_says_what_it_would_do(tmp_path, capsys, command
         (0, []),
     ],
 )
-def test_each_bit_of_an_error_is_named_or_counted(code, told):
-    assert describe_errors(code, DIALECT_06.error_names) == told
+def test_each_bit_of_an_error_is_named_or_counted(code, reported):
+    assert describe_errors(code, DIALECT_06.error_names) == reported

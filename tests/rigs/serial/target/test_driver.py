@@ -96,7 +96,7 @@ def test_contacts_of_the_emulators_recipe_act_and_are_not_recorded():
     assert server.error is None
 
 
-def test_times_of_the_target_are_told_in_the_hosts():
+def test_times_of_the_target_are_reported_in_the_hosts():
     with (
         serve(TargetEmulator(virtual(), paced=True)) as server,
         target_rig(server.port, "serial.log=stream") as rig,
