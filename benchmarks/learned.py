@@ -7,9 +7,10 @@ Each rig is calibrated and learned (`calibrate-kt`, `ilc-learn --implementation 
 would, then it moves while contacts touch it: pulses, or weak ones half of the time, with the ripple
 of the learned power-up and with another; the same recordings are read by the oracle of `oracle.py`.
 Printed are errors over the oracle's, by motion, bandwidth and state, the share of errors within
-1.96 u (for the oracle, of its standard deviations), the mean width of the intervals at rest over
-the oracle's, and learned parameters over true ones. The warm rig was learned at room temperature.
-Runs of `calibrate-kt` and `ilc-learn` that `--tables` holds are taken as they are, and kept there.
+1.96 u (for the oracle, of its standard deviations), the mean width of the intervals at rest and the
+score of all over the oracle's, and learned parameters over true ones. The warm rig was learned at
+room temperature. Runs of `calibrate-kt` and `ilc-learn` that `--tables` holds are taken as they
+are, and kept there.
 """
 
 from __future__ import annotations
@@ -276,7 +277,7 @@ def print_tables(found: list[Found]) -> None:
     for condition in CONDITIONS:
         for band in BANDS:
             print(f"\npower-up {condition[0]}, {condition[1]}, {band:g} Hz, smoothed / causal\n")
-            print("| rig, motion | " + " | ".join(HEADS) + " |\n" + "| --- " * 7 + "|")
+            print("| rig, motion | " + " | ".join(HEADS) + " |\n" + "| --- " * 8 + "|")
             for motion in MOTIONS:
                 for rig, mine in [*rigs.items(), ("all", found)]:
                     print(f"| {rig}, {motion} | {_row(mine, condition, motion, band)} |")
@@ -297,6 +298,7 @@ HEADS = (
     "all, mN m",
     "95 % holds in (known), %",
     "width at rest",
+    "score over known's",
 )
 FORMS = ("smoothed", "causal")
 
@@ -322,6 +324,8 @@ def _row(found: list[Found], condition: Condition, motion: str, band: float) -> 
     cells.append(_pairs([f"{own} ({oracle})" for own, oracle in holds]))
     halves = [[s.half_widths / s.count for s in both] for both in scored["rest"]]
     cells.append(_pairs([f"{own / oracle:.2f}" for own, oracle in halves]))
+    totals = [[s.interval_scores / s.count for s in both] for both in scored["all"]]
+    cells.append(_pairs([f"{own / oracle:.2f}" for own, oracle in totals]))
     return " | ".join(cells)
 
 

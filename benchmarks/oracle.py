@@ -350,6 +350,7 @@ class Score:
     squares: float
     covered: int
     half_widths: float
+    interval_scores: float
     errors: Array
 
     def __add__(self, other: Score) -> Score:
@@ -359,6 +360,7 @@ class Score:
             self.squares + other.squares,
             self.covered + other.covered,
             self.half_widths + other.half_widths,
+            self.interval_scores + other.interval_scores,
             np.concatenate([self.errors, other.errors]),
         )
 
@@ -388,13 +390,18 @@ def scores(recorded: Recorded, motion: str) -> Iterator[tuple[Key, Score]]:
 
 
 def score(error: Array, deviation: Array) -> Score:
-    """Return the score of errors (n,) against stated standard deviations (n,), N m."""
+    """Return the score of errors (n,) against stated standard deviations (n,), N m.
+
+    That of 95 % intervals is of T. Gneiting, A. E. Raftery, J. Am. Stat. Assoc. 102(477) 2007,
+    section 6.2: their width, and 2 / 0.05 of what an error is beyond.
+    """
     half = 1.96 * deviation
     return Score(
         error.size,
         float(error @ error),
         int(np.count_nonzero(error <= half)),
         float(half.sum()),
+        float(np.sum(2 * half + 2 / 0.05 * np.maximum(error - half, 0))),
         error[::10],
     )
 

@@ -13,10 +13,10 @@ c is from errors without load, or from all where these are too few, and g from a
 the rotor slides, c is not from motions that friction was fitted to: they show how strokes differ,
 and not how far the friction is off that they gave. The score is least where 95 % of the errors are
 within h, whatever their tails: friction's are heavy after reversals and at rest. All that lies
-within `INDEPENDENT_TIME` counts as one error; normal errors of deviation s, `EXPECTED` in number,
-count besides. While the rotor slides, s follows from hundreds of strokes, so that they are many
-there, but where no stroke has shown s. Known loads do not change while the rotor stands still, as
-others may: errors at rest show no less than c = 1 there.
+within `INDEPENDENT_TIME` counts as one error; normal errors of `EXPECTED_RATIO` s, `EXPECTED` in
+number, count besides. While the rotor slides, s follows from hundreds of strokes, so that they are
+many there, but where no stroke has shown s. Known loads hardly change, as others may: where nothing
+changes, errors are smaller than that, and show no c below `FACTORS`.
 """
 
 from __future__ import annotations
@@ -38,7 +38,13 @@ INDEPENDENT_TIME = 1.0
 """Time that one independent error is worth, s: a stroke's own friction is one error."""
 
 EXPECTED, SLIDING_EXPECTED = 2.0, 50.0
-"""Errors of deviation s that count as if they had been seen; while the rotor slides."""
+"""Errors that count as if they had been seen; while the rotor slides."""
+
+EXPECTED_RATIO = 0.87
+"""Their deviation over s. A filter's noise covers more than the errors that its equations make:
+with every parameter true, the score under contacts is least at c = 0.86 (smoothed) and 0.85
+(causal) while the rotor slides (17 virtual rigs, `benchmarks/oracle.py`); at 0.80 to 0.97 with 1000
+to 4000 counts and 5 to 15 Hz. What is learned makes errors a little larger."""
 
 INTERVAL_COVERAGE = 0.95
 """Of an interval that is `COVERAGE_FACTOR` u wide to either side."""
@@ -49,8 +55,10 @@ MIN_STEPS = 100
 KINDS_TOGETHER = ((State.AGAINST, State.WITH), (State.REVERSED,), (State.STILL,), (CREEPING_KIND,))
 """Kinds that have one c and g."""
 
-FACTORS, SHARES, GRID, PRECISION = (0.2, 20.0), (1e-4, 1.0), 12, 1e-3
-"""Between which c and g are, how many of each are tried first, and the precision of the search."""
+FACTORS, SHARES, GRID, PRECISION = (0.8, 20.0), (1e-4, 1.0), 12, 1e-3
+"""Between which c and g are, how many of each are tried first, and the precision of the search.
+With every parameter true, under contacts that come and go, the score after reversals and at rest is
+least at c = 0.69 to 0.75, 1 % larger at 0.8; errors under weak loads are larger than without."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,10 +108,9 @@ def scales(parts: Sequence[Errors], *, shown: bool = True) -> Array:
         if State.AGAINST in together:
             expected, own_free = SLIDING_EXPECTED if shown else EXPECTED, free & unseen
             own_free = own_free if (own_free & chosen).sum() >= MIN_STEPS else free
-        least = 1.0 if together == (State.STILL,) else FACTORS[0]
         if chosen.sum() >= MIN_STEPS:
             of_kind = error[:, chosen], deviation[:, chosen], torque[chosen], own_free[chosen]
-            own = _of_both(*of_kind, expected, least)
+            own = _of_both(*of_kind, expected)
         else:
             if expected not in of_all:
                 of_all[expected] = _of_both(error, deviation, torque, free, expected)
@@ -112,37 +119,29 @@ def scales(parts: Sequence[Errors], *, shown: bool = True) -> Array:
     return found
 
 
-def _of_both(
-    error: Array,
-    deviation: Array,
-    torque: Array,
-    free: Mask,
-    expected: float,
-    least: float = FACTORS[0],
-) -> Array:
-    """Return c and g of smoothed and of causal torque, (2, 2), c of the errors that are `free`, of
-    a value at the least."""
+def _of_both(error: Array, deviation: Array, torque: Array, free: Mask, expected: float) -> Array:
+    """Return c and g of smoothed and of causal torque, (2, 2), c of the errors that are `free`."""
     if free.sum() < MIN_STEPS:
         free = np.ones_like(free)
     pairs = zip(error, deviation, strict=True)
-    return np.stack([_of_least_score(*own, torque, free, expected, least) for own in pairs])
+    return np.stack([_of_least_score(*own, torque, free, expected) for own in pairs])
 
 
 def _of_least_score(
-    error: Array, deviation: Array, torque: Array, free: Mask, expected: float, least: float
+    error: Array, deviation: Array, torque: Array, free: Mask, expected: float
 ) -> Array:
     """Return c and g, (2,), of errors (n,)."""
     errors, loads = np.abs(error / deviation), np.abs(torque / deviation)
     own = errors[free]
-    best = least_at(lambda c: _score(own, np.full(len(own), c), expected, c), *FACTORS)
-    factor = max(best, least)
+    factor = least_at(lambda c: _score(own, np.full(len(own), c), expected, c), *FACTORS)
     share = least_at(lambda g: _score(errors, np.hypot(factor, g * loads)), *SHARES)
     return np.array([factor, share])
 
 
 def _score(errors: Array, u: Array, expected: float = 0.0, factor: float = 1.0) -> float:
     """Return the score of errors (n,), and of those that are expected, with a factor for u."""
-    half, edge, penalty = COVERAGE_FACTOR * u, COVERAGE_FACTOR * factor, 2 / (1 - INTERVAL_COVERAGE)
+    half, penalty = COVERAGE_FACTOR * u, 2 / (1 - INTERVAL_COVERAGE)
+    edge = COVERAGE_FACTOR * factor / EXPECTED_RATIO
     seen = (
         float(np.sum(2 * half + penalty * np.maximum(errors - half, 0)))
         * TIME_APART
@@ -150,7 +149,7 @@ def _score(errors: Array, u: Array, expected: float = 0.0, factor: float = 1.0) 
     )
     density = math.exp(-(edge**2) / 2) / math.sqrt(2 * math.pi)
     beyond = density - edge * math.erfc(edge / math.sqrt(2)) / 2
-    return seen + expected * (2 * edge + penalty * 2 * beyond)
+    return seen + expected * EXPECTED_RATIO * (2 * edge + penalty * 2 * beyond)
 
 
 def least_at(score: Callable[[float], float], low: float, high: float) -> float:

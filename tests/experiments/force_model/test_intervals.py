@@ -31,7 +31,7 @@ def drawn(factor, share, kind, count=MINUTES, seed=3, tails=False):
     [
         (2.5, 0.0, State.REVERSED),
         (1.3, 0.0, State.STILL),
-        (0.7, 0.0, CREEPING_KIND),
+        (0.9, 0.0, CREEPING_KIND),
         (1.0, 0.05, CREEPING_KIND),
     ],
 )
@@ -45,10 +45,11 @@ def test_factor_and_share_are_those_of_the_errors(factor, share, kind):
     assert 0.945 < np.mean(np.abs(own.error[1]) < 1.96 * u) < 0.955
 
 
+@pytest.mark.parametrize("kind", [State.REVERSED, State.STILL])
 @pytest.mark.parametrize("share", [0.0, 0.05])
-def test_known_loads_that_do_not_change_at_rest_do_not_narrow_it(share):
-    found = scales([drawn(0.7, share, State.STILL)])[:, State.STILL]
-    np.testing.assert_array_equal(found[:, 0], 1.0)
+def test_known_loads_that_hardly_change_do_not_narrow_it_without_end(share, kind):
+    found = scales([drawn(0.5, share, kind)])[:, kind]
+    np.testing.assert_allclose(found[:, 0], 0.8, rtol=1e-3)
     np.testing.assert_allclose(found[:, 1], share, atol=8e-3)
 
 
@@ -96,10 +97,15 @@ def test_few_strokes_hardly_change_what_slides():
     assert np.all(scales([few])[:, State.AGAINST, 0] < 1.2)
 
 
+def test_errors_that_true_equations_make_are_smaller_than_the_deviation():
+    few = drawn(0.87, 0.0, State.AGAINST, count=150)
+    np.testing.assert_allclose(scales([few])[:, State.AGAINST, 0], 0.87, rtol=0.03)
+
+
 def test_strokes_that_friction_was_fitted_to_do_not_show_how_far_it_is_off():
     """Their errors count after reversals, which are not fitted to them, and under load."""
     fitted = replace(drawn(0.8, 0.0, State.WITH), fitted=True)
-    found = scales([drawn(1.2, 0.0, State.WITH), fitted])
+    found = scales([drawn(1.2, 0.0, State.WITH, count=3 * MINUTES), fitted])
     np.testing.assert_allclose(found[:, State.WITH, 0], 1.2, rtol=0.04)
     few = scales([drawn(1.2, 0.0, State.WITH, count=150), fitted])
     np.testing.assert_allclose(few[:, State.WITH, 0], 0.8, rtol=0.08)
