@@ -136,6 +136,8 @@ struct rs_model {
     rs_real low_pass[RS_ORDER + 1][RS_ORDER + 1], settled[RS_ORDER], scales[RS_KINDS][2], coverage;
     /* what friction leaves open without a current, and where the rotor crawls besides */
     rs_real no_current, open_variances[2][RS_KINDS];
+    /* while the rotor creeps by steps: experiments/force_filter/creeping.py */
+    rs_real creep_more, creep_variance;
 };
 
 @DATA@
@@ -184,6 +186,11 @@ struct rigtool_sensor {
     /* states: counts of the last steps, and for how many steps they were one of two */
     int32_t history[RS_SPEED_STEPS];
     int steps, next, still_up, still_down, limit_left;
+    /* where the rotor turned or rested: count, the farthest since, direction, what the bristle
+     * lacked; steps at rest; since it began to swing */
+    int32_t turned, farthest;
+    rs_real side, lacked;
+    int rested, swung;
     struct rigtool_sensor_reading reading;
 };
 
@@ -1154,11 +1161,52 @@ static inline enum rigtool_sensor_state rs_state(struct rigtool_sensor *s, rs_re
     return torque * direction >= 0 ? RIGTOOL_SENSOR_AGAINST : RIGTOOL_SENSOR_WITH;
 }
 
+/* Counts from one to another in the direction of the stroke. */
+static inline int32_t rs_along(const struct rigtool_sensor *s, int32_t to, int32_t from)
+{
+    return s->side > 0 ? rs_from(to, from) : rs_from(from, to);
+}
+
+/* What the bristle lacks of being bent where the rotor swings while it creeps, else 0. */
+static inline rs_real rs_unbent(struct rigtool_sensor *s, int still)
+{
+    const struct rs_model *m = &rs_model;
+    const rs_real bristle = s->x[RS_HOUSING];
+    const int turns = bristle * s->side < (rs_real)-0.5 || s->rested < 0;
+    rs_real lacks;
+    int32_t way;
+    if (bristle * s->side < (rs_real)-0.5)
+        s->side = -s->side;
+    lacks = 1 - s->side * bristle;
+    if (s->rested < 0 || !still)
+        s->rested = 0;
+    s->rested += still && s->rested < RS_RESTED_STEPS;
+    way = rs_along(s, s->encoder, s->farthest);
+    if (turns || way < -1 || s->rested == RS_RESTED_STEPS) {
+        s->turned = s->farthest = s->encoder;
+        s->lacked = lacks;
+        s->swung = 0;
+    } else if (way > 0) { /* it goes on: where it stays, it may turn */
+        s->farthest = s->encoder;
+        way = rs_along(s, s->encoder, s->turned);
+        if (!(lacks > 1 - m->sliding)
+            || !(lacks > m->creep_more * s->lacked
+                     * rs_exp((rs_real)(1 - way) * m->count / m->housing_presliding_angle)))
+            s->swung = 0;
+        else if (s->swung == 0)
+            s->swung = 1;
+    }
+    if (s->swung > 0 && s->swung <= RS_SWUNG_STEPS)
+        s->swung++;
+    return s->swung > RS_SWUNG_STEPS ? lacks : (rs_real)0;
+}
+
 /* Whether there are numbers to read: currents beyond all limits end them. */
 static inline int rs_read(struct rigtool_sensor *s)
 {
     const rs_real *c = rs_model.low_pass[RS_ORDER], d = c[RS_ORDER];
     rs_real torque = d * s->x[RS_TORQUE], variance = d * d * rs_variance(s, RS_TORQUE), half, other;
+    rs_real unbent;
     struct rigtool_sensor_reading *now = &s->reading;
     const rs_real *scales;
     int i, j;
@@ -1174,6 +1222,7 @@ static inline int rs_read(struct rigtool_sensor *s)
         return 0;
     now->fresh = 1;
     now->state = rs_state(s, torque);
+    unbent = rs_unbent(s, now->state == RIGTOOL_SENSOR_STILL);
     if (now->state == RIGTOOL_SENSOR_OUTSIDE) {
         now->torque = now->u = now->low = now->high = (rs_real)NAN;
         return 1;
@@ -1184,6 +1233,9 @@ static inline int rs_read(struct rigtool_sensor *s)
     variance *= rs_square(scales[0]);
     if (s->idle && variance < rs_model.open_variances[s->crawls][i])
         variance = rs_model.open_variances[s->crawls][i];
+    unbent *= rs_model.creep_variance * unbent;
+    if (variance < unbent)
+        variance = unbent;
     now->u = RS_MATH(sqrt)(variance + rs_square(scales[1] * torque) + other);
     half = rs_model.coverage * now->u;
     now->low = torque - half;
@@ -1232,7 +1284,8 @@ static inline void rs_begin(struct rigtool_sensor *s)
     s->d[RS_NOISE] = rs_square(m->friction_noise);
     s->d[RS_SINE] = s->d[RS_COSINE] = rs_square(m->stroke);
     s->d[RS_LOAD] = rs_square(m->load_stroke);
-    s->direction = s->stroke = 1;
+    s->direction = s->stroke = s->side = 1;
+    s->rested = -1; /* nowhere yet */
     s->row_length = RS_ROW_STEPS;
     for (i = 0; i < RS_PARTS; i++) {
         s->known.mean[i] = i ? m->wave_mean[i - 1] : 0;
