@@ -19,7 +19,7 @@ from rigtool.experiments.force_filter import creeping, kalman, motion_states, pa
 from rigtool.experiments.force_filter.estimate import idle_steps
 from rigtool.experiments.force_model.drive import VISCOUS
 from rigtool.experiments.force_model.steps import LONGEST_EXACT, NO_CURRENT
-from rigtool.experiments.force_sensor import power_up, shown_ripple
+from rigtool.experiments.force_sensor import lasting_contact, power_up, shown_ripple
 from rigtool.experiments.force_sensor.drawn_ripple import learned_ripple
 from rigtool.experiments.force_sensor.sensor import AT_THE_LIMIT, SensorProperties
 from rigtool.numerics.arrays import Array
@@ -200,6 +200,10 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
         "row_certain": power_up.MAX_LOG_RATIO,
         "row_largest": power_up.LARGEST_RIPPLE_RATIO**2,
         "row_recognised": power_up.RECOGNISED,
+        "row_lasts": lasting_contact.LASTS,
+        "row_lasting": (lasting_contact.LASTING * size) ** 2,
+        "row_drift": (lasting_contact.DRIFT * size) ** 2 * row_time,
+        "row_least_lasts": lasting_contact.LEAST_LASTS,
     }
 
 
