@@ -409,4 +409,5 @@ def _notes(
         for r in recordings
         for p in r.parts
         for fault in p.faults
+        if fault.text
     ]
