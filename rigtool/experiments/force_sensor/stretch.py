@@ -283,6 +283,9 @@ class Stretch:
         variance = np.concatenate(variances) + by_current
         idling, unbent = self._taken("idling")[::every], self._taken("unbent")
         least = instrument.least_variances(idling, kinds, unbent)
+        # at rest what comes later may have come at once: between both forms, a rectangle
+        apart = torque[::every] - self._found["causal"][: self._filled["causal"]]
+        least = np.maximum(least, np.where(kinds == State.STILL, apart**2 / 3, 0.0))
         deviation = deviation[::every].astype(float)
         scales = instrument.model.scales[0]
         u = uncertainty_of_kinds(scales, deviation, torque[::every], kinds, variance, least)
