@@ -53,7 +53,8 @@ def lasts_too(
     lasting: Array, error: float, seen: float, variance: float, untouched: float
 ) -> float:
     """Return the logarithm of a row's likelihood where a contact lasts of which the error has
-    `seen`, and take it in there, by the probability that nothing else touches (B. Friedland 1969).
+    `seen`, and take it in there, by the probability that nothing else touches (B. Friedland 1969);
+    `lasting` (2,) are its mean and variance.
     """
     left, whole = error - seen * lasting[0], variance + seen**2 * lasting[1]
     part = untouched * seen * lasting[1] / whole
