@@ -126,7 +126,7 @@ struct rs_model {
     rs_real wave_mean[RS_WAVES], wave_variance[RS_WAVES], wave_doubt[RS_WAVES];
     rs_real row_noise, row_walk[2], row_reversal, row_contact, row_untouched, row_kept;
     rs_real row_begins, row_ends, row_changes, row_least, row_evidence, row_certain, row_largest;
-    rs_real row_recognised;
+    rs_real row_recognised, row_lasts, row_lasting, row_drift, row_least_lasts;
     /* states */
     rs_real sliding, slow, crawling, speed_limit, torque_limit;
     rs_real current_limit, largest_current, cold, warm;
@@ -136,6 +136,8 @@ struct rs_model {
     rs_real low_pass[RS_ORDER + 1][RS_ORDER + 1], settled[RS_ORDER], scales[RS_KINDS][2], coverage;
     /* what friction leaves open without a current, and where the rotor crawls besides */
     rs_real no_current, open_variances[2][RS_KINDS];
+    /* while the rotor creeps by steps: experiments/force_filter/creeping.py */
+    rs_real creep_more, creep_variance;
 };
 
 @DATA@
@@ -148,6 +150,8 @@ struct rs_shown {
 /* What is known of the ripple of this power-up: mean, and covariance as U diag(d) U' again. */
 struct rs_ripple {
     rs_real mean[RS_PARTS], u[RS_PARTS][RS_PARTS], d[RS_PARTS];
+    /* a contact that lasts: what 1 N m of it changes the means by; its mean and variance */
+    rs_real shift[RS_PARTS], lasting[2];
 };
 
 /* The filter; its numbers are for nobody else. */
@@ -177,6 +181,8 @@ struct rigtool_sensor {
     rs_real waves[RS_WAVES], row[RS_PARTS], ripple_q[RS_ORDER];
     struct rs_ripple known, before[2];
     rs_real plain, plain_variance, other; /* without it; logarithm of the likelihoods' ratio */
+    /* without it: a contact that lasts, as above; its probability, with and without it */
+    rs_real plain_shift, plain_lasting[2], lasts, plain_lasts;
     rs_real touched, plain_touched; /* the probability that something touches, with and without it */
     rs_real level[2], level_variance[2], fast; /* then: by a slow, a fast walk; probability of that */
     int row_length, row_drawn, row_steps, row_slid;
@@ -184,6 +190,11 @@ struct rigtool_sensor {
     /* states: counts of the last steps, and for how many steps they were one of two */
     int32_t history[RS_SPEED_STEPS];
     int steps, next, still_up, still_down, limit_left;
+    /* where the rotor turned or rested: count, the farthest since, direction, what the bristle
+     * lacked; steps at rest; since it began to swing */
+    int32_t turned, farthest;
+    rs_real side, lacked;
+    int rested, swung;
     struct rigtool_sensor_reading reading;
 };
 
@@ -843,6 +854,7 @@ static inline void rs_begin_anew(struct rigtool_sensor *s)
         s->known.d[0] += rs_square(s->known.u[0][j]) * s->known.d[j];
         s->known.d[j] = rs_model.wave_variance[j - 1];
         s->known.mean[j] = rs_model.wave_mean[j - 1];
+        s->known.shift[j] = 0;
         for (i = 0; i < j; i++)
             s->known.u[i][j] = 0;
     }
@@ -858,7 +870,7 @@ static inline void rs_take_back(struct rigtool_sensor *s)
     s->since++;
     if (s->touched > rs_model.row_recognised) {
         s->known = s->before[1] = s->before[0];
-        s->known.mean[0] = 0;
+        s->known.mean[0] = s->known.shift[0] = 0;
         s->known.d[0] = rs_model.row_untouched;
         for (j = 1; j < RS_PARTS; j++)
             s->known.u[0][j] = 0;
@@ -890,28 +902,74 @@ static inline void rs_doubt(struct rigtool_sensor *s)
     }
 }
 
-/* The logarithm of a row's likelihood under other ripple; it is taken in there. */
+/* The logarithm of a row's likelihood where a contact lasts of which the error has `seen`; it is
+ * taken in there, by the probability that nothing else touches (B. Friedland 1969). */
+static inline rs_real rs_lasts(
+    rs_real *lasting, rs_real error, rs_real seen, rs_real variance, rs_real untouched)
+{
+    const rs_real left = error - seen * lasting[0], whole = variance + seen * seen * lasting[1];
+    const rs_real part = untouched * seen * lasting[1] / whole;
+    lasting[0] += part * left;
+    lasting[1] *= 1 - part * seen;
+    return rs_density(left, whole);
+}
+
+/* The part of the logarithm of a row's likelihood that counts, of one or, where a contact lasts,
+ * the other. */
+static inline rs_real rs_counted(rs_real *lasts, rs_real one, rs_real other)
+{
+    const rs_real part = rs_model.row_evidence, least = rs_model.row_least_lasts;
+    const rs_real together = rs_weighed(lasts, part * one, part * other);
+    *lasts = *lasts < least ? least : *lasts > 1 - least ? 1 - least : *lasts;
+    return together;
+}
+
+/* The part of the logarithm of a row's likelihood under the learned ripple; it is taken in there. */
+static inline rs_real rs_plain(struct rigtool_sensor *s, rs_real touching)
+{
+    const rs_real error = s->row[0] - s->plain;
+    const rs_real variance = s->plain_variance + rs_model.row_noise, seen = 1 + s->plain_shift;
+    rs_real before = s->plain_touched, likely, other, part;
+    likely = rs_weighed(&s->plain_touched, rs_density(error, variance), touching);
+    part = 1 - s->plain_touched;
+    other = rs_lasts(s->plain_lasting, error, seen, variance, part);
+    other = rs_weighed(&before, other, touching);
+    part *= s->plain_variance / variance;
+    s->plain += part * error;
+    s->plain_shift -= part * seen;
+    s->plain_variance *= 1 - part;
+    return rs_counted(&s->plain_lasts, likely, other);
+}
+
+/* The part of the logarithm of a row's likelihood under other ripple; it is taken in there. */
 static inline rs_real rs_by_ripple(struct rigtool_sensor *s, rs_real touching)
 {
     const struct rs_model *m = &rs_model;
     rs_real error = s->row[0] - s->known.mean[0], variance = m->row_noise, likely, sum;
+    rs_real seen = 1 + s->known.shift[0], before = s->touched, other;
     rs_real by[RS_PARTS], part[RS_PARTS], column[RS_PARTS];
     int i, j;
     for (j = 0; j < RS_PARTS; j++) {
         by[j] = j ? s->row[j] : (rs_real)1;
-        if (j)
+        if (j) {
             error -= s->row[j] * s->known.mean[j];
+            seen += s->row[j] * s->known.shift[j];
+        }
         for (i = 0; i < j; i++)
             by[j] += s->known.u[i][j] * (i ? s->row[i] : (rs_real)1);
         part[j] = s->known.d[j] * by[j];
         variance += part[j] * by[j];
     }
     likely = rs_weighed(&s->touched, rs_density(error, variance), touching);
+    other = rs_lasts(s->known.lasting, error, seen, variance, 1 - s->touched);
+    other = rs_weighed(&before, other, touching);
+    likely = rs_counted(&s->lasts, likely, other);
     if (s->touched > 1 - m->row_least)
         return likely;
     /* as much noise as lets the row count by the probability that nothing touches */
     sum = variance / (1 - s->touched);
     error /= sum;
+    seen /= sum;
     sum -= variance - m->row_noise;
     for (j = 0; j < RS_PARTS; j++) {
         const rs_real gain = -by[j] / sum, whole = sum + part[j] * by[j];
@@ -924,8 +982,10 @@ static inline rs_real rs_by_ripple(struct rigtool_sensor *s, rs_real touching)
         s->known.d[j] *= sum / whole;
         sum = whole;
     }
-    for (j = 0; j < RS_PARTS; j++)
+    for (j = 0; j < RS_PARTS; j++) {
         s->known.mean[j] += column[j] * error;
+        s->known.shift[j] -= column[j] * seen;
+    }
     return likely;
 }
 
@@ -934,14 +994,8 @@ static inline void rs_take(struct rigtool_sensor *s)
 {
     const struct rs_model *m = &rs_model;
     const rs_real touching = rs_touching(s), likely = rs_by_ripple(s, touching);
-    const rs_real plain = s->row[0] - s->plain, own = s->plain_variance + m->row_noise;
-    rs_real part;
     int j;
-    s->other += m->row_evidence
-        * (likely - rs_weighed(&s->plain_touched, rs_density(plain, own), touching));
-    part = (1 - s->plain_touched) * s->plain_variance / own;
-    s->plain += part * plain;
-    s->plain_variance *= 1 - part;
+    s->other += likely - rs_plain(s, touching);
     if (s->other > m->row_certain)
         s->other = m->row_certain;
     if (s->other < -m->row_certain)
@@ -972,8 +1026,12 @@ static inline void rs_pass_time(struct rigtool_sensor *s, int slides)
         if (!slides)
             s->level_variance[i] += m->row_reversal; /* friction may be off by a stroke's own */
     }
+    s->known.lasting[1] += m->row_drift;
+    s->plain_lasting[1] += m->row_drift;
     s->known.mean[0] *= kept;
+    s->known.shift[0] *= kept;
     s->plain *= kept;
+    s->plain_shift *= kept;
     for (i = 1; i < RS_PARTS; i++)
         s->known.u[0][i] *= kept;
     s->known.d[0] = kept * kept * s->known.d[0] + fresh;
@@ -1071,7 +1129,8 @@ static inline rs_real rs_rippled(struct rigtool_sensor *s, rs_real *variance)
 {
     const struct rs_model *m = &rs_model;
     const rs_real *c = m->low_pass[RS_ORDER];
-    rs_real power, weight, mean = 0, spread, ripple, q[RS_ORDER];
+    rs_real power, weight, mean = 0, spread, ripple, shift = 0, lasting, felt;
+    rs_real q[RS_ORDER];
     int i, j;
     rs_wave(s);
     rs_show(s);
@@ -1084,8 +1143,14 @@ static inline rs_real rs_rippled(struct rigtool_sensor *s, rs_real *variance)
         for (i = 0; i < j; i++)
             by += s->known.u[i + 1][j + 1] * s->shown[i].seen;
         spread += rs_square(m->torque_factor * by) * s->known.d[j + 1];
-        mean += m->torque_factor * s->shown[j].seen * s->known.mean[j + 1];
+        felt = m->torque_factor * s->shown[j].seen;
+        mean += felt * s->known.mean[j + 1];
+        shift += felt * s->known.shift[j + 1];
     }
+    lasting = s->known.lasting[0];
+    mean += s->lasts * lasting * shift;
+    spread += shift * shift * s->lasts
+        * (s->known.lasting[1] + (1 - s->lasts) * lasting * lasting);
     *variance = weight * (spread + (1 - weight) * mean * mean);
     ripple = c[RS_ORDER] * weight * mean;
     for (i = 0; i < RS_ORDER; i++) {
@@ -1154,11 +1219,52 @@ static inline enum rigtool_sensor_state rs_state(struct rigtool_sensor *s, rs_re
     return torque * direction >= 0 ? RIGTOOL_SENSOR_AGAINST : RIGTOOL_SENSOR_WITH;
 }
 
+/* Counts from one to another in the direction of the stroke. */
+static inline int32_t rs_along(const struct rigtool_sensor *s, int32_t to, int32_t from)
+{
+    return s->side > 0 ? rs_from(to, from) : rs_from(from, to);
+}
+
+/* What the bristle lacks of being bent where the rotor swings while it creeps, else 0. */
+static inline rs_real rs_unbent(struct rigtool_sensor *s, int still)
+{
+    const struct rs_model *m = &rs_model;
+    const rs_real bristle = s->x[RS_HOUSING];
+    const int turns = bristle * s->side < (rs_real)-0.5 || s->rested < 0;
+    rs_real lacks;
+    int32_t way;
+    if (bristle * s->side < (rs_real)-0.5)
+        s->side = -s->side;
+    lacks = 1 - s->side * bristle;
+    if (s->rested < 0 || !still)
+        s->rested = 0;
+    s->rested += still && s->rested < RS_RESTED_STEPS;
+    way = rs_along(s, s->encoder, s->farthest);
+    if (turns || way < -1 || s->rested == RS_RESTED_STEPS) {
+        s->turned = s->farthest = s->encoder;
+        s->lacked = lacks;
+        s->swung = 0;
+    } else if (way > 0) { /* it goes on: where it stays, it may turn */
+        s->farthest = s->encoder;
+        way = rs_along(s, s->encoder, s->turned);
+        if (!(lacks > 1 - m->sliding)
+            || !(lacks > m->creep_more * s->lacked
+                     * rs_exp((rs_real)(1 - way) * m->count / m->housing_presliding_angle)))
+            s->swung = 0;
+        else if (s->swung == 0)
+            s->swung = 1;
+    }
+    if (s->swung > 0 && s->swung <= RS_SWUNG_STEPS)
+        s->swung++;
+    return s->swung > RS_SWUNG_STEPS ? lacks : (rs_real)0;
+}
+
 /* Whether there are numbers to read: currents beyond all limits end them. */
 static inline int rs_read(struct rigtool_sensor *s)
 {
     const rs_real *c = rs_model.low_pass[RS_ORDER], d = c[RS_ORDER];
     rs_real torque = d * s->x[RS_TORQUE], variance = d * d * rs_variance(s, RS_TORQUE), half, other;
+    rs_real unbent;
     struct rigtool_sensor_reading *now = &s->reading;
     const rs_real *scales;
     int i, j;
@@ -1174,6 +1280,7 @@ static inline int rs_read(struct rigtool_sensor *s)
         return 0;
     now->fresh = 1;
     now->state = rs_state(s, torque);
+    unbent = rs_unbent(s, now->state == RIGTOOL_SENSOR_STILL);
     if (now->state == RIGTOOL_SENSOR_OUTSIDE) {
         now->torque = now->u = now->low = now->high = (rs_real)NAN;
         return 1;
@@ -1184,6 +1291,9 @@ static inline int rs_read(struct rigtool_sensor *s)
     variance *= rs_square(scales[0]);
     if (s->idle && variance < rs_model.open_variances[s->crawls][i])
         variance = rs_model.open_variances[s->crawls][i];
+    unbent *= rs_model.creep_variance * unbent;
+    if (variance < unbent)
+        variance = unbent;
     now->u = RS_MATH(sqrt)(variance + rs_square(scales[1] * torque) + other);
     half = rs_model.coverage * now->u;
     now->low = torque - half;
@@ -1232,12 +1342,15 @@ static inline void rs_begin(struct rigtool_sensor *s)
     s->d[RS_NOISE] = rs_square(m->friction_noise);
     s->d[RS_SINE] = s->d[RS_COSINE] = rs_square(m->stroke);
     s->d[RS_LOAD] = rs_square(m->load_stroke);
-    s->direction = s->stroke = 1;
+    s->direction = s->stroke = s->side = 1;
+    s->rested = -1; /* nowhere yet */
     s->row_length = RS_ROW_STEPS;
     for (i = 0; i < RS_PARTS; i++) {
         s->known.mean[i] = i ? m->wave_mean[i - 1] : 0;
         s->known.d[i] = i ? m->wave_variance[i - 1] : m->row_untouched;
     }
+    s->known.lasting[1] = s->plain_lasting[1] = m->row_lasting;
+    s->lasts = s->plain_lasts = m->row_lasts;
     s->before[0] = s->before[1] = s->known;
     s->plain_variance = m->row_untouched;
     s->level_variance[0] = s->level_variance[1] = m->row_contact;

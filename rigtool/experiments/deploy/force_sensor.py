@@ -15,11 +15,11 @@ from importlib.resources import files
 import numpy as np
 
 from rigtool.experiments.deploy.c_header import comment
-from rigtool.experiments.force_filter import kalman, motion_states, passed
+from rigtool.experiments.force_filter import creeping, kalman, motion_states, passed
 from rigtool.experiments.force_filter.estimate import idle_steps
 from rigtool.experiments.force_model.drive import VISCOUS
 from rigtool.experiments.force_model.steps import LONGEST_EXACT, NO_CURRENT
-from rigtool.experiments.force_sensor import power_up, shown_ripple
+from rigtool.experiments.force_sensor import lasting_contact, power_up, shown_ripple
 from rigtool.experiments.force_sensor.drawn_ripple import learned_ripple
 from rigtool.experiments.force_sensor.sensor import AT_THE_LIMIT, SensorProperties
 from rigtool.numerics.arrays import Array
@@ -65,6 +65,8 @@ def sensor_header(
         "LIMIT_STEPS": _within(motion_states.LIMIT_TIME, grid.step_time),
         "SPEED_STEPS": _within(motion_states.SPEED_TIME, grid.step_time) - 1,
         "IDLE_STEPS": idle_steps(grid.step_time),
+        "RESTED_STEPS": creeping.steps_of(creeping.RESTED_TIME, grid.step_time),
+        "SWUNG_STEPS": creeping.steps_of(creeping.LASTING_TIME, grid.step_time),
         "BUSY_STEPS": _lasting(model.uncertainty.busy_time, grid.step_time),
         "REST_STEPS": int(kalman.rest_steps(grid.step_time)),
         "ROW_STEPS": power_up.row_steps(grid.step_time),
@@ -198,6 +200,10 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
         "row_certain": power_up.MAX_LOG_RATIO,
         "row_largest": power_up.LARGEST_RIPPLE_RATIO**2,
         "row_recognised": power_up.RECOGNISED,
+        "row_lasts": lasting_contact.LASTS,
+        "row_lasting": (lasting_contact.LASTING * size) ** 2,
+        "row_drift": (lasting_contact.DRIFT * size) ** 2 * row_time,
+        "row_least_lasts": lasting_contact.LEAST_LASTS,
     }
 
 
@@ -229,6 +235,8 @@ def _reading(instrument: SensorProperties, coverage_factor: float) -> dict[str, 
         "coverage": coverage_factor,
         "no_current": NO_CURRENT,
         "open_variances": instrument.open_variances[1:],
+        "creep_more": creeping.MORE,
+        "creep_variance": instrument.creeping_torque**2 / 3,
     }
 
 

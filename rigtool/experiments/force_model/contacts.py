@@ -203,7 +203,8 @@ def _contacts(
             continue
         found, side, begin = k, np.sign(torque[k]), k
         half = (side * torque[k : k + window + 1]).max() / 2.0
-        while begin > max(0, k - longest) and side * torque[begin - 1] > half:
+        earliest = max(rows[-1][2] if rows else 0, k - longest)
+        while begin > earliest and side * torque[begin - 1] > half:
             begin -= 1
         total = abs(torque[k])
     if found >= 0:

@@ -26,6 +26,8 @@ errors of rows that follow one another are alike. Given is
 the mean of the mixture, and its variance (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with
 Applications to Tracking and Navigation, 2001, section 11.6.2, static multiple models).
 
+A weak contact may also act all the time (`lasting_contact`), under each hypothesis.
+
 What of the ripple grows with the current is in the variance alone (`drawn_ripple`).
 """
 
@@ -44,6 +46,15 @@ from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.model import GAIN_ORDERS, RIPPLE_ORDERS
 from rigtool.experiments.force_sensor import shown_ripple
 from rigtool.experiments.force_sensor.drawn_ripple import learned_ripple
+from rigtool.experiments.force_sensor.lasting_contact import (
+    DRIFT,
+    LASTING,
+    LASTS,
+    counted,
+    lasts_too,
+    normal,
+    weighed,
+)
 from rigtool.experiments.force_sensor.shown_ripple import show
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
@@ -117,6 +128,16 @@ STATE = np.dtype(
         ("means", "f8", (2, WAVE_COUNT + 1)),
         ("covariances", "f8", (2, WAVE_COUNT + 1, WAVE_COUNT + 1)),
         ("since", "f8"),
+        # a contact that lasts: what 1 N m of it changes the means by, its mean and variance, and
+        # its probability; as they were, as means; without other ripple the same
+        ("shift", "f8", (WAVE_COUNT + 1,)),
+        ("shifts", "f8", (2, WAVE_COUNT + 1)),
+        ("lasting", "f8", (2,)),
+        ("lastings", "f8", (2, 2)),
+        ("lasts", "f8"),
+        ("plain_shift", "f8"),
+        ("plain_lasting", "f8", (2,)),
+        ("plain_lasts", "f8"),
         # without other ripple; logarithm of the likelihoods' ratio
         ("plain", "f8"),
         ("plain_variance", "f8"),
@@ -169,6 +190,9 @@ class PowerUp:
         self._state["means"][0] = self._state["mean"]
         self._state["covariances"][0] = self._state["covariance"]
         self._state["plain_variance"] = variances[-1]
+        for name in ("lasting", "lastings", "plain_lasting"):
+            self._state[name][..., 1] = (LASTING * factor * size) ** 2
+        self._state["lasts"] = self._state["plain_lasts"] = LASTS
         self._state["level_variance"] = (CONTACT * factor * size) ** 2
         self._low_pass = passed.section(corner_hz, step_time)
 
@@ -272,10 +296,12 @@ def _follow(
                 _read(s, p)
         weight = 1.0 / (1.0 + math.exp(-s.other))
         shown = s.seen if sliding.shape[0] else waves
-        mean, variance, less = 0.0, 0.0, 0.0
+        mean, variance, less, shift = 0.0, 0.0, 0.0, 0.0
+        lasting = s.lasts * s.lasting[0]
         for i in range(WAVE_COUNT):
             mean += p.factor * shown[i] * s.mean[i]
-            less += waves[i] * s.mean[i]
+            shift += p.factor * shown[i] * s.shift[i]
+            less += waves[i] * (s.mean[i] + lasting * s.shift[i])
             total = 0.5 * s.covariance[i, i] * shown[i]
             for j in range(i):
                 total += s.covariance[i, j] * shown[j]
@@ -287,7 +313,9 @@ def _follow(
                 square = s.growing[j, 0] + size * (s.growing[j, 1] + size * s.growing[j, 2])
                 by_current += square * (waves[2 * j] ** 2 + waves[2 * j + 1] ** 2)
             by_current *= (p.factor * drive[k, 0]) ** 2
+        mean += shift * lasting
         variance = p.factor**2 * variance + by_current
+        variance += shift**2 * s.lasts * (s.lasting[1] + (1.0 - s.lasts) * s.lasting[0] ** 2)
         found[3, k] = by_current
         found[0, k] = weight * mean
         found[1, k] = weight * variance + weight * (1.0 - weight) * mean * mean
@@ -308,14 +336,7 @@ def _read(s: Record, p: Record) -> None:
     _pass_time(s, p, slides)
     if slides:
         touching = _touching(s, p)
-        likely = _by_ripple(s, p, touching)
-        plain, variance = s.row[WAVE_COUNT] - s.plain, s.plain_variance + (NOISE * p.size) ** 2
-        free = -0.5 * (plain**2 / variance + math.log(variance))
-        without, s.plain_touched = _weighed(s.plain_touched, free, touching)
-        part = (1.0 - s.plain_touched) * s.plain_variance / variance
-        s.plain += part * plain
-        s.plain_variance *= 1.0 - part
-        s.other += ROW_EVIDENCE * (likely - without)
+        s.other += _by_ripple(s, p, touching) - _plain(s, p, touching)
         s.other = min(max(s.other, -MAX_LOG_RATIO), MAX_LOG_RATIO)
         for i in range(0, WAVE_COUNT, 2):
             first, second = s.mean[i] + s.learned[i], s.mean[i + 1] + s.learned[i + 1]
@@ -332,6 +353,24 @@ def _read(s: Record, p: Record) -> None:
 
 
 @compiled
+def _plain(s: Record, p: Record, touching: float) -> float:
+    """Return the part of the logarithm of a row's likelihood under the learned ripple, and take it
+    in there."""
+    error, variance = s.row[WAVE_COUNT] - s.plain, s.plain_variance + (NOISE * p.size) ** 2
+    before = s.plain_touched
+    likely, s.plain_touched = weighed(before, normal(error, variance), touching)
+    untouched = 1.0 - s.plain_touched
+    lasting, seen = s.plain_lasting, 1.0 + s.plain_shift
+    other, _ = weighed(before, lasts_too(lasting, error, seen, variance, untouched), touching)
+    part = untouched * s.plain_variance / variance
+    s.plain += part * error
+    s.plain_shift -= part * seen
+    s.plain_variance *= 1.0 - part
+    together, s.plain_lasts = counted(s.plain_lasts, ROW_EVIDENCE * likely, ROW_EVIDENCE * other)
+    return together
+
+
+@compiled
 def _pass_time(s: Record, p: Record, slides: bool) -> None:
     """Go on to the end of a row."""
     begins, ends = BEGINS * p.time, ENDS * p.time
@@ -342,7 +381,11 @@ def _pass_time(s: Record, p: Record, slides: bool) -> None:
         s.level_variance[i] += (WALKS[i] * p.size) ** 2 * p.time
         if not slides:  # part of the row is no sliding: friction may be off by a stroke's own
             s.level_variance[i] += (AFTER_REVERSAL * p.size) ** 2 * p.time / ROW_TIME
+    for lasting in (s.lasting, s.plain_lasting):
+        lasting[1] += (DRIFT * p.size) ** 2 * p.time
     kept = math.exp(-p.time / MEMORY) if slides else 0.0
+    s.shift[WAVE_COUNT] *= kept
+    s.plain_shift *= kept
     s.mean[WAVE_COUNT] *= kept
     s.plain *= kept
     for i in range(WAVE_COUNT):
@@ -376,44 +419,39 @@ def _touching(s: Record, p: Record) -> float:
         s.level[i] += part * (value - s.level[i])
         s.level_variance[i] *= 1.0 - part
         slow, fast = fast, likely
-    together, s.fast = _weighed(s.fast, slow, fast)
+    together, s.fast = weighed(s.fast, slow, fast)
     return together
 
 
 @compiled
-def _weighed(probability: float, one: float, other: float) -> tuple[float, float]:
-    """Return the logarithm of the likelihood of a row that has `one`'s or, with a probability, the
-    `other`'s, and the probability then."""
-    one += math.log(1.0 - probability)
-    other += math.log(probability)
-    largest = max(one, other)
-    together = largest + math.log(math.exp(one - largest) + math.exp(other - largest))
-    return together, math.exp(other - together)
-
-
-@compiled
 def _by_ripple(s: Record, p: Record, touching: float) -> float:
-    """Return the logarithm of a row's likelihood under other ripple, and take it in there."""
+    """Return the part of the logarithm of a row's likelihood under other ripple, and take it in
+    there."""
     gain = np.empty(WAVE_COUNT + 1)
     value, s.row[WAVE_COUNT] = s.row[WAVE_COUNT], 1.0
-    error, variance = value, (NOISE * p.size) ** 2
+    error, variance, seen = value, (NOISE * p.size) ** 2, 1.0
     for i in range(WAVE_COUNT + 1):
         error -= s.row[i] * s.mean[i]
+        seen += s.row[i] * s.shift[i]
         gain[i] = 0.0
         for j in range(WAVE_COUNT + 1):
             gain[i] += s.covariance[i, j] * s.row[j]
         variance += s.row[i] * gain[i]
-    free = -0.5 * (error**2 / variance + math.log(variance))
-    likely, s.touched = _weighed(s.touched, free, touching)
+    before = s.touched
+    likely, s.touched = weighed(before, normal(error, variance), touching)
     part = (1.0 - s.touched) / variance
     s.row[WAVE_COUNT] = value
+    lasts = lasts_too(s.lasting, error, seen, variance, 1.0 - s.touched)
+    other, _ = weighed(before, lasts, touching)
+    together, s.lasts = counted(s.lasts, ROW_EVIDENCE * likely, ROW_EVIDENCE * other)
     if s.touched > 1.0 - MIN_UNTOUCHED_PROBABILITY:
-        return likely
+        return together
     for i in range(WAVE_COUNT + 1):
         s.mean[i] += part * gain[i] * error
+        s.shift[i] -= part * gain[i] * seen
         for j in range(WAVE_COUNT + 1):
             s.covariance[i, j] -= part * gain[i] * gain[j]
-    return likely
+    return together
 
 
 @compiled
@@ -422,14 +460,17 @@ def _take_back(s: Record, p: Record) -> None:
     s.since += 1.0
     if s.touched > RECOGNISED:
         s.means[1] = s.mean[:] = s.means[0]
+        s.shifts[1] = s.shift[:] = s.shifts[0]
+        s.lastings[1] = s.lasting[:] = s.lastings[0]
+        s.shift[WAVE_COUNT] = 0.0
         s.covariances[1] = s.covariance[:] = s.covariances[0]
         s.mean[WAVE_COUNT] = 0.0
         s.covariance[WAVE_COUNT, :] = s.covariance[:, WAVE_COUNT] = 0.0
         s.covariance[WAVE_COUNT, WAVE_COUNT] = p.size**2
     elif s.since >= p.late:
-        s.means[0] = s.means[1]
+        s.means[0], s.shifts[0], s.lastings[0] = s.means[1], s.shifts[1], s.lastings[1]
         s.covariances[0] = s.covariances[1]
-        s.means[1] = s.mean
+        s.means[1], s.shifts[1], s.lastings[1] = s.mean, s.shift, s.lasting
         s.covariances[1] = s.covariance
     else:
         return
@@ -441,9 +482,9 @@ def _begin_anew(s: Record) -> None:
     """Forget another power-up's ripple: what was taken for it is too large."""
     s.other = min(s.other, 0.0)
     for i in range(WAVE_COUNT):
-        s.mean[i] = -s.learned[i]
+        s.mean[i], s.shift[i] = -s.learned[i], 0.0
         for j in range(WAVE_COUNT + 1):
             s.covariance[i, j] = s.covariance[j, i] = 0.0
         s.covariance[i, i] = s.drawn[i]
-    s.means[:] = s.mean
+    s.means[:], s.shifts[:], s.lastings[:] = s.mean, s.shift, s.lasting
     s.covariances[:] = s.covariance

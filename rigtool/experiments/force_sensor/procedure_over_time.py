@@ -41,6 +41,7 @@ from rigtool.experiments.force_sensor.unknown_friction import (
 from rigtool.experiments.learning.stored_table import feedforward_from, require_rig
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
+from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig, Task
 from rigtool.rigs.motion import Observe
@@ -48,6 +49,9 @@ from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
 
 OF_THE_LOOP = ("position_setpoint", "feedforward_current", "table_current")
 """Channels that are recorded besides where rigtool moves the rig."""
+
+OTHER_MOTOR = 1.5
+"""Ratio of a calibrated torque constant to the data sheet's from which on it is another motor's."""
 
 HAND_PART_OF_FRICTION = 0.5
 """Part of the friction from which on a torque that drives an observed rig is that of a hand."""
@@ -137,7 +141,7 @@ def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: R
         )
         unknown = dict.fromkeys(name for name, block in blocks if np.isnan(block).any())
         corner_hz = recipe.measure_force.motion.corner_hz
-        why = f" (NaN is in {', '.join(unknown)})" if unknown else ""
+        why = f" (NaN, or a value that none has, is in {', '.join(unknown)})" if unknown else ""
         raise InsufficientDataError(
             f"{run.path}: no recording has {shortest_stretch(corner_hz):.3g} s without a gap{why}, "
             "which the filter needs at measure_force.motion.bandwidth_hz: record for longer, "
@@ -241,7 +245,8 @@ def _require_values(read: Sequence[Recorded], recorded: Sequence[Recording], rea
     """Raise `InsufficientDataError` unless some sample lies within what was learned."""
     if any(np.any(part.states != State.OUTSIDE) for r in read for part in r.parts):
         return
-    faults = [fault for r in read for part in r.parts for fault in part.faults if fault.no_value]
+    every = [fault for r in read for part in r.parts for fault in part.faults]
+    faults = [fault for fault in every if fault.no_value and fault.text]
     if faults:
         raise InsufficientDataError(faults[0].text)
     blocks = (degc for r in recorded for (degc,) in r.blocks("temperature", finite=False))
@@ -296,8 +301,15 @@ def reach_of(tables: Run, kt: Run) -> Reach:
 
 
 def require_calibration(kt: Run, recipe: Recipe) -> None:
-    """Raise `RunFileError` unless a calibration belongs to the recipe's rig, or states none."""
+    """Raise `RunFileError` unless a calibration may be that of the recipe's rig."""
     kt.require_command("calibrate-kt")
+    constant, stated = torque_per_ampere_at(kt, 20.0).value, recipe.rig.torque_constant
+    if not 1 / OTHER_MOTOR < constant / stated < OTHER_MOTOR:
+        raise RunFileError(
+            f"{kt.path}: states {constant:.4g} N m/A, the recipe's rig.torque_constant is "
+            f"{stated:g} N m/A, and {OTHER_MOTOR:g} times more or less is another motor: give the "
+            "calibration of this one, or correct the recipe"
+        )
     if kt.rig not in (None, recipe.rig.name):
         raise RunFileError(
             f"{kt.path}: is the calibration of rig {kt.rig}, the recipe is that of "

@@ -323,7 +323,11 @@ def _cells(prefix: str, cells: list[list[Accuracy]]) -> dict[str, Column]:
 
 
 def _events(parts: Sequence[tuple[int, TorqueRows]]) -> dict[str, Table]:
-    """Return the table of contacts of numbered stretches; none without contacts."""
+    """Return the table of contacts of numbered stretches; none without contacts.
+
+    Contacts are found by samples so far. A torque that the whole recording does not distinguish
+    from zero there is none.
+    """
     found: list[tuple[float, ...]] = []
     for number, row in parts:
         known, step_time = row.states != State.OUTSIDE, row.step_time / row.every
@@ -333,6 +337,8 @@ def _events(parts: Sequence[tuple[int, TorqueRows]]) -> dict[str, Table]:
             if not len(torque):
                 continue
             peak = _peak(torque, u)
+            if abs(torque[peak]) <= COVERAGE_FACTOR * u[peak]:
+                continue
             times = row.time[0] + step_time * np.array([contact.begin, contact.found, contact.end])
             found.append((number, *times, torque[peak], u[peak], torque.mean(), u.mean()))
     if not found:
@@ -403,4 +409,5 @@ def _notes(
         for r in recordings
         for p in r.parts
         for fault in p.faults
+        if fault.text
     ]

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.experiments.force_filter.creeping import Creeping
 from rigtool.experiments.force_filter.estimate import Again, Estimate, Filter, Signals
 from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_filter.motion_states import (
@@ -80,6 +81,20 @@ class SensorProperties:
         open_: Array = (plant.torque_factor * widths) ** 2 / 3
         return open_
 
+    @property
+    def creeping_torque(self) -> float:
+        """Friction that a bent bristle carries while the rotor creeps, N m on the output."""
+        plant = self.model.plant(self.grid.sample_time)
+        return plant.torque_factor * (plant.static + plant.housing_friction)
+
+    def least_variances(self, idling: Idling, kinds: States, unbent: Array) -> Array:
+        """Return the least variance of the torque (m,) N2 m2: `open_variances`, and that of a
+        rectangle as wide as the friction that bristles lack which are `unbent` (m,) while the rotor
+        creeps (`creeping`)."""
+        lacking = (self.creeping_torque * unbent) ** 2 / 3
+        least: Array = np.maximum(self.open_variances[idling, kinds], lacking)
+        return least
+
     def limited(self, current: Array) -> NDArray[np.bool_]:
         """Return where a current (n,) A is at its limit."""
         found: NDArray[np.bool_] = np.abs(current) >= AT_THE_LIMIT * self.current_limit
@@ -112,7 +127,7 @@ class Sensed:
     `signals` are what the filter took, for another one; `less` (m,) N m is what that ripple takes
     off the drive torque, `doubt` (m,) N m its standard deviation on the output, and `by_current`
     (m,) N2 m2 the variance by the current if the power-up is another one; `kinds` (m,) are those of
-    errors, `Judge.kinds`.
+    errors, `Judge.kinds`; `unbent` (m,) is what bristles lack of being bent where the rotor creeps.
     """
 
     estimate: Estimate
@@ -126,6 +141,7 @@ class Sensed:
     less: Array
     doubt: Array
     by_current: Array
+    unbent: Array
 
 
 class Sensor:
@@ -146,6 +162,8 @@ class Sensor:
         self.power_up = PowerUp(model, grid.step_time, instrument.corner_hz)
         self._judge = instrument.judge(causal=True)
         self._before: Moments | None = None
+        length = model.plant(grid.sample_time).housing_presliding_angle
+        self._creeping = Creeping(instrument.count, length, grid.step_time)
 
     def add(self, samples: Array, *, last: bool = False) -> Sensed:
         """Return what these samples (c, n) complete; after the `last` ones nothing waits.
@@ -176,12 +194,13 @@ class Sensor:
             estimate.idle,
         )
         states, kinds, idling = self._states(moments)
-        least = self._instrument.open_variances[idling, kinds]
+        unbent = self._creeping.add(estimate.low, moments.housing, states == State.STILL)
+        least = self._instrument.least_variances(idling, kinds, unbent)
         scales = self._instrument.model.scales[1]
         u = uncertainty_of_kinds(scales, estimate.deviation, torque, kinds, variance, least)
         doubt = np.sqrt(variance)
         own = estimate, torque, u, moments, states, kinds, found[3:], signals, less, doubt
-        return Sensed(*own, by_current)
+        return Sensed(*own, by_current, unbent)
 
     @property
     def last_deviation(self) -> float:

@@ -13,6 +13,9 @@ A motor that moves a rig to and fro works against friction. Over a path L within
 angles, a load that helps in some of the passes does M R / (2 n) at most on the whole. Where the
 motor's work is below -F L / 2 - M R / (2 n), current and encoder have opposite signs, or a hand
 drives the rig.
+
+A current that stays at its highest or lowest value, to the last digit, while the rotor moves, and
+at no other, was cut off there.
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigtool.experiments.force_filter.motion_states import LARGEST_LEARNED_RATIO
+from rigtool.experiments.force_model.steps import NO_CURRENT
 from rigtool.experiments.force_sensor.sensor import SensorProperties
 from rigtool.numerics.arrays import Array, Mask
 
@@ -39,6 +43,11 @@ SELDOM = 0.1
 """Largest part of the other windows of its kind in which a current stays the same, where one that
 does so is remarkable."""
 
+CUT_WINDOWS, CUT_RATIO, CUT_STEP = 5, 5.0, 0.01
+"""Windows at one end of its values from which on a current was cut off there, and their ratio to
+those at any other value; the largest step to the next value, of its range: a current of coarse
+steps stays the same, too."""
+
 LEAP_RATIO, LEAP_COUNTS = 5.0, 5.0
 """A leap of the encoder: in the highest speed that was learned, and the fewest counts."""
 
@@ -48,8 +57,8 @@ SETTLING_TIME = 1.0
 
 @dataclass(frozen=True)
 class SignalFault:
-    """A fault from `start` to `end` s, from the begin of the recording's stretch, in words; whether
-    there is `no_value` about it."""
+    """A fault from `start` to `end` s, from the begin of the recording's stretch, in words, empty
+    where those of the one before hold; whether there is `no_value` about it."""
 
     start: float
     end: float
@@ -86,14 +95,18 @@ class SignalWatch:
         self._waiting, self._last = np.empty((3, 0)), math.nan
         self._windows: list[Array] = []
         self._leaps: list[Array] = []
-        self._count = 0
+        self._count = self._changed = 0
 
     def add(self, samples: Array) -> None:
         """Watch samples (c, n): encoder in counts, current A, temperature degC."""
         steps = np.diff(samples[0], prepend=self._last)
         at = np.flatnonzero(np.abs(steps) > self._leap)
+        changed = np.append(self._changed - self._count, np.flatnonzero(steps != 0))
         if len(at):
-            self._leaps.append(np.array([(self._count + at) * self._interval, steps[at]]))
+            since = changed[np.searchsorted(changed, at) - 1]
+            times = (self._count + np.array([at, since])) * self._interval
+            self._leaps.append(np.array([*times, steps[at]]))
+        self._changed = int(changed[-1]) + self._count
         self._count += samples.shape[1]
         if samples.shape[1]:
             self._last = float(samples[0, -1])
@@ -116,15 +129,18 @@ class SignalWatch:
             found += self._opposed(torque, moved * self._turn, float(np.ptp(low)) * self._turn)
             found += self._stopped(low, low == high, torque)
             found += self._frozen(low, high, most, least == most)
+            found += self._cut(most, least, (least == most) & (low < high))
         return tuple(sorted(found, key=lambda one: one.start))
 
     def _leaped(self) -> Iterator[SignalFault]:
         if not self._leaps:
             return
-        time, counts = np.hstack(self._leaps)
+        time, since, counts = np.hstack(self._leaps)
         largest = counts[np.argmax(np.abs(counts))]
+        # what it rested before, it may not have counted; from one edge to the next it has
+        rested = bool(time[0] - since[0] > WINDOW_TIME)
         yield SignalFault(
-            float(time[0]),
+            float(since[0] if rested else time[0]),
             float(time[-1]),
             f"the encoder leaps from one sample to the next, {len(time)} times from "
             f"{time[0]:.3f} to {time[-1]:.3f} s, by up to {largest:.0f} counts; "
@@ -184,8 +200,27 @@ class SignalWatch:
                 f"{end:.3f} s, {'like' if not moved else 'while'} {what}; it does so in "
                 f"{same[others].mean():.0%} of the other time: unless nothing drives the motor "
                 "there, its channel has stopped and the torque is wrong; check what records it",
-                False,
+                self._commanded and moved > 0,
             )
+
+    def _cut(self, most: Array, least: Array, same: Mask) -> Iterator[SignalFault]:
+        driven = same & (np.abs(most) > NO_CURRENT)
+        values, counts = np.unique(most[driven], return_counts=True)
+        seen = np.unique(np.concatenate([most, least]))
+        fine = np.diff(seen)[[0, -1]] < CUT_STEP * np.ptp(seen) if len(seen) > 2 else [False] * 2
+        ends = np.isin(values, seen[[0, -1]][fine])
+        others = int(counts[~ends].max(initial=0))
+        cut = values[ends & (counts >= max(CUT_WINDOWS, CUT_RATIO * others))]
+        at = driven & np.isin(most, cut)
+        text = (
+            f"the current stays at {' and '.join(f'{value:.6g}' for value in cut)} A, its largest "
+            f"or smallest value, in {at.sum() * self._size * self._interval:.3g} s in which the "
+            "rotor moves, and at no other: it was cut off there, and the torque is wrong; raise "
+            "the limit of the drive or of what records it, move slower, or against less"
+        )
+        for first, last in np.flatnonzero(np.diff(at, prepend=False, append=False)).reshape(-1, 2):
+            yield SignalFault(*self._times(int(first), int(last)), text, self._commanded)
+            text = ""
 
     def _times(self, first: int, last: int) -> tuple[float, float]:
         window = self._size * self._interval

@@ -62,6 +62,7 @@ ESTIMATED_TYPES = {
     "untouched_u": np.float32,
     "doubt": np.float32,
     "by_current": np.float32,
+    "unbent": np.float32,
 }
 """At each step, but for the causal torque, its u and state and the angle that was passed, which are
 kept at the table's rows. What is in single precision is known to 1e-7 of itself, the angle, of
@@ -129,6 +130,7 @@ class Stretch:
         self._keep("causal", sensed.torque[rows])
         self._keep("causal_u", sensed.u[rows])
         self._keep("by_current", sensed.by_current[rows])
+        self._keep("unbent", sensed.unbent[rows])
         self._keep("causal_states", sensed.states[rows])
         for reference in sensed.others:
             self._keep("reference", reference)
@@ -279,7 +281,11 @@ class Stretch:
         kinds = self._taken("kinds")[::every]
         by_current = self._sensor.power_up.probability * self._taken("by_current")
         variance = np.concatenate(variances) + by_current
-        least = instrument.open_variances[self._taken("idling")[::every], kinds]
+        idling, unbent = self._taken("idling")[::every], self._taken("unbent")
+        least = instrument.least_variances(idling, kinds, unbent)
+        # at rest what comes later may have come at once: between both forms, a rectangle
+        apart = torque[::every] - self._found["causal"][: self._filled["causal"]]
+        least = np.maximum(least, np.where(kinds == State.STILL, apart**2 / 3, 0.0))
         deviation = deviation[::every].astype(float)
         scales = instrument.model.scales[0]
         u = uncertainty_of_kinds(scales, deviation, torque[::every], kinds, variance, least)

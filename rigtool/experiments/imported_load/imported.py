@@ -107,6 +107,11 @@ def _notes(learned: LearnedEffort, recordings: int) -> list[str]:
         f"below {scales.standstill:.3g} rad/s friction is undetermined: no value there, only a "
         "dead band",
     ]
+    if learned.paces == 1 and len(model.strokes) == 1:
+        notes.append(
+            "recorded at one speed: nothing shows how friction changes with it, so other speeds "
+            "have no value; record at three speeds or more"
+        )
     if learned.paces == 2:
         notes.append(
             "recorded at two speeds: none can be left out, so u does not state what errors are "

@@ -167,6 +167,7 @@ def learn_load_model(
     direction = resisted_direction(rows, float(np.mean(slope)))
     spacing = float(np.ptp(torque)) / (levels - 1)
     measured = np.where(resolved, torque + error, np.nan)
+    several = bool(pace.max() > 0 or len(middles) > 1)  # speeds at one place
     model = LoadModel(
         scales=scales,
         strokes=middles,
@@ -178,7 +179,9 @@ def learn_load_model(
             float(torque.max()) + MARGIN * spacing,
         ),
         direction=direction,
-        region=learn_region(place, speed, torque, _margins(sides, direction) * spacing),
+        region=learn_region(
+            place, speed, torque, _margins(sides, direction) * spacing, several=several
+        ),
         loop=learn_loop(place, speed > 0, measured, recording),
         noise=learned_noise([item.noise.by(effort_scale) for item in signals]),
     )

@@ -2,7 +2,9 @@
 
     inside  =  v_min / 1.1 <= |v| <= 1.1 v_max  and  M_min - margin <= M <= M_max + margin
 
-Slower than learned is outside as well as faster: friction of slow motion is another one.
+Slower than learned is outside as well as faster: friction of slow motion is another one. Where all
+recordings had one speed and stroke, speed follows from the position, and no other one is inside:
+nothing separates what friction owes to either.
 """
 
 from __future__ import annotations
@@ -99,22 +101,27 @@ def cell_means(place: Array, values: Array, rows: Mask, fewest: int = 1) -> Arra
     return np.where(count >= fewest, total / np.maximum(count, 1), np.nan)
 
 
-def learn_region(place: Array, speed: Array, torque: Array, margins: Array) -> Region:
-    """Return the region of learned points (n,), without unit.
+def learn_region(
+    place: Array, speed: Array, torque: Array, margins: Array, *, several: bool = True
+) -> Region:
+    """Return the region of learned points (n,), without unit; unless there are `several` speeds, no
+    other one is inside.
 
     `margins` (2, 2) are those of torque, of positive and negative speeds, at the lower and at the
     higher end.
     """
     found = np.full((4, 2, STROKE_CELLS), np.nan)
-    cell = cells_of(place)
+    cell, beyond = cells_of(place), LARGEST_LEARNED_RATIO if several else 1.0
     for side, rows in enumerate((speed > 0, speed < 0)):
         for number in np.unique(cell[rows]):
             # Speed changes along a cell: its neighbours' count as well
             near = rows & (np.abs(cell - number) <= 1)
             magnitude, own = np.abs(speed[near]), torque[near]
+            if not several:
+                magnitude = np.abs(speed[rows & (cell == number)])
             found[:, side, number] = (
-                magnitude.min() / LARGEST_LEARNED_RATIO,
-                magnitude.max() * LARGEST_LEARNED_RATIO,
+                magnitude.min() / beyond,
+                magnitude.max() * beyond,
                 own.min() - margins[side, 0],
                 own.max() + margins[side, 1],
             )

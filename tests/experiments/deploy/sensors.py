@@ -121,6 +121,7 @@ def motions():
         "strokes": np.abs(1.6 * time % 2 - 1) - 0.5,
         "free": free,
         "rest": np.full(len(time), 0.3),
+        "creeping": 0.03 * time + 1.5e-3 * np.sin(2 * math.pi * 60 * time),
     }
     return {name: moved(angle, pulse) for name, angle in wanted.items()}
 

@@ -27,6 +27,7 @@ from rigtool.experiments.force_model.stored import (
 from rigtool.experiments.force_model.stored import (
     SCALES as SCALES_TABLE,
 )
+from rigtool.experiments.force_sensor import procedure_over_time
 from rigtool.experiments.force_sensor.procedure_over_time import reach_of
 from rigtool.experiments.force_sensor.procedure_reading import instrument_of
 from rigtool.recipe import load_recipe
@@ -195,6 +196,15 @@ def test_what_does_not_go_together_is_refused(tables, tmp_path, options, message
     with pytest.raises(UsageError, match=message):
         export(tables, tmp_path / "sensor.h", **options)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_calibration_of_another_motor_is_refused(tables, kt, tmp_path, monkeypatch):
+    """45.8 mN m/A, where the data sheet has 45."""
+    monkeypatch.setattr(procedure_over_time, "OTHER_MOTOR", 1.01)
+    with pytest.raises(RunFileError, match=r"is another motor: give the calibration of this one"):
+        export(tables, tmp_path / "sensor.h", kt)
+    monkeypatch.setattr(procedure_over_time, "OTHER_MOTOR", 1.03)
+    export(tables, tmp_path / "sensor.h", kt)
 
 
 def test_another_run_is_no_calibration(tables, tmp_path):

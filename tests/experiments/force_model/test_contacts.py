@@ -136,3 +136,10 @@ def test_errors_of_creeping_are_not_those_of_steady_motion():
     limits = thresholds([look(torque, kinds)])
     assert limits[MotionKind.STEADY, 0] < 1.5 * LIMITS[MotionKind.STEADY, 0]
     assert contacts(look(torque, kinds), limits) == []
+
+
+def test_no_contact_begins_before_another_one_has_ended():
+    torque = np.zeros(14000)
+    torque[6000:7000], torque[7000:7500], torque[7500:9000] = 60e-3, 28e-3, 50e-3
+    first, second = contacts(look(torque + errors(14, 5)), LIMITS)
+    assert first.end <= second.begin

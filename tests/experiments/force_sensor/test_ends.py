@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from rigtool.experiments.force_filter.motion_states import State
-from rigtool.experiments.force_sensor.results_over_time import TorqueRows, over_time_tables
+from rigtool.experiments.force_model.contacts import Contact
+from rigtool.experiments.force_sensor.results_over_time import (
+    TorqueRows,
+    _events,
+    over_time_tables,
+)
 from rigtool.experiments.force_sensor.stretch import held_lowpass, weight_ahead
 
 RATE, CORNER_HZ = 1000.0, 30.0
@@ -41,3 +46,13 @@ def test_the_peak_is_not_that_of_a_row_that_knows_little():
     results, _ = over_time_tables([row], 60e-3, 30.0)
     assert results["peak_torque"].value == 42e-3
     assert results["peak_torque"].u == 0.5e-3
+
+
+def test_a_contact_that_the_whole_recording_does_not_show_is_not_listed():
+    """Contacts are found by samples so far: behind a strong one, by its own end."""
+    torque = np.repeat([0.0, 30e-3, -0.7e-3, 2e-3], 5)
+    time, states = 5e-3 * np.arange(20), np.full(20, State.AGAINST, dtype=np.int32)
+    found = (Contact(5, 6, 9), Contact(10, 11, 14), Contact(15, 16, 19))
+    row = TorqueRows("made", 5e-3, time, torque, np.full(20, 0.4e-3), states, contacts=found)
+    peaks = _events([(0, row)])["events"].columns["peak"].values
+    np.testing.assert_allclose(peaks, [30e-3, 2e-3])

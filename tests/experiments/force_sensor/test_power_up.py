@@ -119,6 +119,21 @@ def test_the_learned_power_up_changes_nothing():
     assert np.sqrt(variance[late]).max() < 0.5 * STROKE
 
 
+@pytest.mark.parametrize("torque", [1e-3, -1.3e-3])
+@pytest.mark.parametrize("other", [False, True])
+def test_a_weak_contact_that_lasts_is_not_taken_for_ripple(torque, other):
+    """Ripple of low orders has a mean along a part of a turn, as a weak load has."""
+    time, angle, states = motion()
+    added = other * (ripple(OTHER, angle) - ripple(LEARNED, angle))
+    states[:, TORQUE] = torque + noise(time, states) + added
+    power_up = PowerUp(model(0.5e-3), STEP, BANDWIDTH)
+    found, variance, *_ = power_up.add(angle, states, *follows(states))
+    late = slice(round(10 / STEP), None)
+    assert np.mean(np.abs(found - added)[late] < 1.96 * np.sqrt(variance[late] + STROKE**2)) > 0.9
+    whole, left, _ = power_up.whole(angle, states[:, TORQUE])
+    assert np.mean(np.abs(whole - added) < 1.96 * np.sqrt(left + STROKE**2)) > 0.9
+
+
 def test_blocks_of_any_length_give_the_same(another):
     _, angle, states, _, found, variance = another
     parts, again = PowerUp(model(), STEP, BANDWIDTH), []

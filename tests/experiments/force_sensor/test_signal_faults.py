@@ -55,7 +55,7 @@ def test_a_dead_encoder_under_a_current_that_grows_has_no_value():
     encoder, current = strokes()
     encoder[between(3, 6)] = encoder[np.argmax(TIME >= 3)]
     current[between(3, 6)] += 3.0 * (TIME[between(3, 6)] - 3)
-    fault, leap = faults(encoder, current)
+    fault, leap = sorted(faults(encoder, current), key=lambda one: "leaps" in one.text)
     assert "leaps" in leap.text  # where it counts again
     assert fault.start == pytest.approx(3, abs=0.03)
     assert fault.end == pytest.approx(6, abs=0.03)
@@ -76,12 +76,40 @@ def test_counts_that_are_lost_at_once_are_a_leap():
     assert (fault.start, fault.end) == pytest.approx((4.5, 5.5), abs=1e-3)
 
 
-def test_a_current_that_stops_while_the_rotor_moves_is_remarked():
+def test_what_rests_before_a_leap_was_not_counted():
+    encoder, current = strokes()
+    encoder[between(3.5, 6)] = encoder[np.argmax(TIME >= 3.5)]
+    (fault,) = faults(encoder, current)
+    assert (fault.start, fault.end) == pytest.approx((3.5, 6), abs=0.01)
+
+
+@pytest.mark.parametrize("commanded", [True, False])
+def test_a_current_that_stops_while_the_rotor_moves_is_remarked(commanded):
     encoder, current = strokes()
     current[between(2, 5)] = current[np.argmax(TIME >= 2)]
-    (fault,) = faults(encoder, current)
+    (fault,) = faults(encoder, current, commanded=commanded)
     assert "while the rotor moves by" in fault.text
-    assert not fault.no_value
+    assert fault.no_value == commanded
+
+
+@pytest.mark.parametrize("commanded", [True, False])
+def test_a_current_that_is_cut_off_has_no_value_there(commanded):
+    encoder, current = strokes()
+    current += 0.2 * np.sin(3 * TIME)
+    assert faults(encoder, current, commanded=commanded) == ()
+    first, *others = faults(encoder, np.clip(current, -0.4, 0.35), commanded=commanded)
+    assert "-0.4 and 0.35 A" in first.text
+    assert not any(fault.text for fault in others)
+    ends = [time for fault in (first, *others) for time in (fault.start, fault.end)]
+    edges = np.clip(current, -0.4, 0.35) != current
+    found = np.concatenate([between(*pair) for pair in zip(ends[::2], ends[1::2], strict=True)])
+    assert found.reshape(len(ends) // 2, -1).any(axis=0)[edges].mean() > 0.6
+    assert first.no_value == commanded
+
+
+def test_a_current_of_few_steps_is_not_cut_off():
+    encoder, current = strokes()
+    assert faults(encoder, 0.1 * np.round(current / 0.1), commanded=True) == ()
 
 
 def test_channels_that_all_stop_are_no_rest_like_the_others():

@@ -1,0 +1,63 @@
+"""A weak contact that acts all the time, beside ripple that a power-up draws.
+
+Along a part of a turn ripple of low orders has a mean, as a weak load has that stays or grows
+slowly: alone, either explains what rows of the torque show. With a probability a torque c acts
+besides, a slow random walk. Errors e of a filter without c are then those of one with it, but for
+
+    e = s c + error,   s = 1 + H V,   V' = V - K s
+
+with the filter's row H and gain K: V is what c has made of its states, and a filter of c alone
+gives its mean, its variance, and the likelihood of the row (B. Friedland, IEEE Trans. Autom.
+Control 14(4) 359-367, 1969).
+"""
+
+from __future__ import annotations
+
+import math
+
+from rigtool.numerics.arrays import Array
+from rigtool.numerics.compiled import compiled
+
+LASTS, LASTING, DRIFT, LEAST_LASTS = 0.1, 5.0, 0.5, 1e-3
+"""Probability, before anything is seen, that a weak contact acts all the time; its deviation, and
+what it changes by per square root of a second, in deviations of a stroke; its least probability."""
+
+
+@compiled
+def weighed(probability: float, one: float, other: float) -> tuple[float, float]:
+    """Return the logarithm of the likelihood of a row that has `one`'s or, with a probability, the
+    `other`'s, and the probability then."""
+    one += math.log(1.0 - probability)
+    other += math.log(probability)
+    largest = max(one, other)
+    together = largest + math.log(math.exp(one - largest) + math.exp(other - largest))
+    return together, math.exp(other - together)
+
+
+@compiled
+def counted(lasts: float, one: float, other: float) -> tuple[float, float]:
+    """Return `weighed`, of a probability that keeps away from 0 and 1."""
+    together, lasts = weighed(lasts, one, other)
+    return together, min(max(lasts, LEAST_LASTS), 1.0 - LEAST_LASTS)
+
+
+@compiled
+def normal(error: float, variance: float) -> float:
+    """Return the logarithm of a normal's likelihood, but for a constant."""
+    likely: float = -0.5 * (error**2 / variance + math.log(variance))
+    return likely
+
+
+@compiled
+def lasts_too(
+    lasting: Array, error: float, seen: float, variance: float, untouched: float
+) -> float:
+    """Return the logarithm of a row's likelihood where a contact lasts of which the error has
+    `seen`, and take it in there, by the probability that nothing else touches (B. Friedland 1969);
+    `lasting` (2,) are its mean and variance.
+    """
+    left, whole = error - seen * lasting[0], variance + seen**2 * lasting[1]
+    part = untouched * seen * lasting[1] / whole
+    lasting[0] += part * left
+    lasting[1] *= 1.0 - part * seen
+    return normal(left, whole)
