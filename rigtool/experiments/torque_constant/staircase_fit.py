@@ -131,7 +131,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     rounding = np.stack([solution.fit.solve(error)[0][:, 0] for error in errors])
     resolution_u, trend_resolution_u = (_rms(rounding @ each) for each in (average, trend))
     moved_u = 0.0
-    if resolution_u > COARSE * constant:
+    if resolution_u > COARSE * abs(constant):
         moved_u = spread_over_zeros(plateaus, stairs, fitted + errors[::2], coefficient, trend)
     u, dof = _lack_of_fit(stairs, solution, average, resolution_u)
     trend_u = _trend_scatter(stairs, solution, trend, trend_resolution_u)
