@@ -56,7 +56,7 @@ def spread_over_zeros(
     """Return the standard deviation of the torque constant that all hypotheses find, N m/A.
 
     `readings` (n, m, p) N m are the torques of all staircases with n places of the gauge's zero;
-    the swings about them are those of `plateaus`. `coefficient` and `trend` are those of
+    the swings about them are those of `plateaus`. `coefficient` and `trend` (m,) are those of
     `weigh_hypotheses`.
     """
     constants = []
