@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.stats import f_oneway
+from scipy.stats import chi, f_oneway
 
 from rigtool.experiments.force.imported_strokes import Strokes, scatter_results, stroke_loads
 
@@ -22,6 +22,9 @@ def test_a_load_is_the_mean_of_all_strokes_and_its_u_that_of_runs():
     assert_allclose(found["std_torque"], [np.std(torque, ddof=1)], rtol=1e-12)
     assert_allclose(found["mean_torque_u"], [np.std(errors, ddof=1) / np.sqrt(2)], rtol=1e-12)
     assert_allclose(found["applied_torque"], [0.049], rtol=1e-12)
+    # S of seven normal readings is distributed as chi
+    assert_allclose(found["std_torque_u"] / found["std_torque"], chi.std(6) / 6**0.5, rtol=0.05)
+    assert (found["cycles"][0], found["effective_cycles"][0]) == (7, 2)
 
 
 @pytest.mark.parametrize("direction", [1, -1])
