@@ -1,4 +1,4 @@
-"""Lines, levels and branches of staircases beside polyfit and scipy, and what is refused of them."""
+"""Lines, levels and branches of staircases beside polyfit and scipy; what is refused of them."""
 
 from types import SimpleNamespace
 
@@ -80,7 +80,6 @@ def test_the_arm_gives_way_by_the_line_of_positions():
 
 def test_levels_hold_plateaus_of_one_set_point():
     stairs = staircases()
-    stairs.setpoint[2] += 1e-6
     current, level = levels(stairs)
     np.testing.assert_allclose(current, UP, atol=1.001e-3 * 4)
     np.testing.assert_array_equal(level, np.tile(np.abs(np.r_[:17, 15:-1:-1]), (5, 1)))
