@@ -53,6 +53,19 @@ def test_a_tail_that_few_values_show_is_followed_further():
     assert 1.1 * many < few < 3 * many
 
 
+def test_the_unit_of_torque_changes_no_contact():
+    unit, time = 64.0, np.arange(30_000) * STEP
+    own = [errors(100, 8), errors(30, 9) + np.where(time % 7 > 5, 5e-3, 0.0)]
+    limits, found = [], []
+    for scale in (1.0, unit):
+        quiet, touched = (look(scale * each, size=0.2e-3 * scale) for each in own)
+        limits.append(thresholds([quiet]) / np.array([scale, 1.0]))
+        found.append(contacts(touched, thresholds([quiet])))
+    np.testing.assert_allclose(limits[1], limits[0], rtol=1e-9)
+    assert len(found[0]) >= 4
+    assert found[1] == found[0]
+
+
 @pytest.mark.compiles
 def test_what_is_in_doubt_is_no_contact():
     """Ripple that may be another's, 0.9 mN m, is found where it is certain."""
