@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rigtool.errors import InsufficientDataError
+from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.force import imported
 from rigtool.experiments.force.imported import Measured, of_this_zero
 from rigtool.experiments.force_filter.motion_states import State
@@ -259,3 +259,11 @@ def test_runs_that_were_learned_from_are_named():
     (note,) = imported._also_learned(runs, tables)
     assert note.startswith("the tables were learned from 2 of these runs (b.h5, ...)")
     assert imported._also_learned(runs[:1], tables) == []
+
+
+def test_tables_of_another_rig_are_refused():
+    runs = [SimpleNamespace(rig="bench")]
+    imported._require_learned_here(runs, SimpleNamespace(rig="bench", path="t.h5"))
+    for other in ("another", None):
+        with pytest.raises(UsageError, match=r"was learned on .* the runs are of bench"):
+            imported._require_learned_here(runs, SimpleNamespace(rig=other, path="t.h5"))

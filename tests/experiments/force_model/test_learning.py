@@ -239,6 +239,33 @@ def test_what_friction_deviates_is_measured():
     assert 50e-3 / plant.FACTOR * found.load < found.stroke / 2  # nothing grew with the load
 
 
+@pytest.mark.parametrize("part", [0.1, 0.4, 0.6])
+def test_a_period_may_begin_anywhere_in_a_stroke(part):
+    """Where it cuts a stroke in two, the second half belongs to the cycle before."""
+    records = [
+        strokes(0.0, 1.0, cycles=30, deviation=0.4e-3, noise=(0.1e-3, 0.15), seed=seed)
+        for seed in range(2)
+    ]
+    turned = []
+    for record in records:
+        by = round(part * record.angle.size)
+        rows = round(part * record.count)
+        series = record.torques.reshape(-1)[rows : len(record.torques[0]) * -1 + rows or None]
+        turned.append(
+            replace(
+                record,
+                angle=np.roll(record.angle, -by),
+                current=np.roll(record.current, -by),
+                trusted=np.roll(record.trusted, -by),
+                torques=series.reshape(-1, record.count),
+                cycles=record.cycles - 1,
+            )
+        )
+    found = deviations(turned, plant.RATIO, plant.FACTOR)
+    assert found.stroke == pytest.approx(0.4e-3, rel=0.15)
+    assert found.noise == pytest.approx(0.1e-3, rel=0.4)
+
+
 @pytest.mark.parametrize("payback", [0.0, 0.9])
 def test_a_few_cycles_show_as_much_as_many(payback):
     """What their mean takes away of each of three is given back."""

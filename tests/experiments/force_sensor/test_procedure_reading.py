@@ -1,9 +1,11 @@
 """How far apart samples may be from which torque is read."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.force_sensor.procedure_reading import require_interval
+from rigtool.experiments.force_sensor.procedure_reading import read_recording, require_interval
 
 
 @pytest.mark.parametrize(("seconds", "refused"), [(0.01 * (1 + 5e-7), False), (0.01002, True)])
@@ -14,3 +16,10 @@ def test_samples_further_apart_than_a_hundredth_of_a_second_are_refused(seconds,
             require_interval(seconds, "run")
     else:
         require_interval(seconds, "run")
+
+
+@pytest.mark.parametrize("size", [0, 1])
+def test_a_recording_of_one_sample_has_nothing_and_loses_nothing(size):
+    recording = SimpleNamespace(name="short", size=size)
+    found = read_recording(recording, None, None, None, None)
+    assert (found.name, found.parts, found.breaks, found.lost) == ("short", (), 0, 0.0)
