@@ -1,13 +1,12 @@
 """Results of the springs, beside differences of their formulas."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from rigtool.experiments.suspension import procedure
-from rigtool.experiments.suspension.springs import LeafSprings, SpringCurve
+from rigtool.experiments.suspension.springs import SpringCurve
 from rigtool.recipe import load_recipe
 from tests.experiments.virtual_runs import RECIPE
 
@@ -17,20 +16,24 @@ SUM = SPRINGS.motor_eccentricity + SPRINGS.tool_eccentricity
 
 
 def test_the_computed_stiffness_has_the_u_of_each_dimension():
-    own = LeafSprings(SPRINGS.elasticity, SPRINGS.length, SPRINGS.width, SPRINGS.thickness)
-    result = procedure._stiffness(SPRINGS, CURVE, 0.0)["spring_constant_computed"]
+    def computed(springs=SPRINGS):
+        return procedure._stiffness(springs, CURVE, 0.0)["spring_constant_computed"]
+
     us = {
         "elasticity": SPRINGS.elasticity * SPRINGS.elasticity_relative_u,
         "length": SPRINGS.dimension_u,
         "width": SPRINGS.dimension_u,
         "thickness": SPRINGS.thickness_u,
     }
-    for line in result.budget:
-        value, step = getattr(own, line.name), 1e-6 * getattr(own, line.name)
-        up, down = (replace(own, **{line.name: value + way * step}).stiffness for way in (1, -1))
+    for line in computed().budget:
+        value, step = getattr(SPRINGS, line.name), 1e-6 * getattr(SPRINGS, line.name)
+        up, down = (
+            computed(SPRINGS.model_copy(update={line.name: value + way * step})).value
+            for way in (1, -1)
+        )
         slope = (up - down) / (2 * step)
         assert line.contribution == pytest.approx(abs(slope) * us[line.name], rel=1e-5)
-    assert len(result.budget) == sum(u > 0 for u in us.values())
+    assert len(computed().budget) == sum(u > 0 for u in us.values())
 
 
 def test_what_follows_from_the_measured_stiffness_scales_with_its_u():

@@ -1,11 +1,18 @@
 """Rounding by a coarse gauge, and what looks like friction in it."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
+from scipy.stats import norm
 
-from rigtool.experiments.torque_constant.gauge_rounding import rounding_errors, spread_over_zeros
+from rigtool.experiments.torque_constant.gauge_rounding import (
+    GAUGE_PHASES,
+    rounding_errors,
+    spread_over_zeros,
+)
 from rigtool.experiments.torque_constant.hypotheses import weigh_hypotheses
 from rigtool.experiments.torque_constant.staircase import plateaus_of_set_point
 from rigtool.experiments.torque_constant.staircase_model import arrange
@@ -47,3 +54,27 @@ def test_a_gauge_without_steps_rounds_nothing():
     stairs = arrange(plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08))
     none = rounding_errors(replace(stairs, resolution=0.0), stairs.torque)
     assert_allclose(none, np.zeros((1, *stairs.torque.shape)))
+
+
+def mean_rounded(torque, noise, step):
+    """The mean of round(torque + noise), level by level: a sum over the steps of the gauge."""
+    steps = step * np.arange(-30, 31)[:, None]
+    edges = (steps + step / 2 - torque) / noise
+    share = norm.cdf(edges) - norm.cdf(edges - step / noise)
+    return (steps * share).sum(axis=0)
+
+
+@pytest.mark.parametrize("ratio", [0.2, 0.3, 0.4])
+def test_errors_are_those_of_the_mean_of_noisy_readings_that_are_rounded(ratio):
+    """The scatter of readings about their means is that of noise and rounding together, less that
+    of the means; its inverse is right within 5 %."""
+    step = 2e-3
+    noise, torque = ratio * step, np.linspace(-0.011, 0.017, 23)
+    places = step * np.arange(GAUGE_PHASES)[:, None] / GAUGE_PHASES
+    exact = np.array([mean_rounded(torque + at, noise, step) - torque - at for at in places])
+    within = np.linspace(0, step, 1000, endpoint=False)
+    of_means = np.mean((mean_rounded(within, noise, step) - within) ** 2)
+    scatter = np.sqrt(noise**2 + step**2 / 12 - of_means)
+    stairs = SimpleNamespace(resolution=step, noise=scatter, weight=1.0)
+    found = rounding_errors(stairs, torque[None])[:, 0]
+    assert_allclose(found, exact, rtol=0, atol=0.05 * np.abs(exact).max())
