@@ -283,6 +283,11 @@ def _means(signal: Array, by: int) -> Array:
     return means
 
 
+def after_turn(angle: Array, count: float) -> float:
+    """Return the angle after a turn, rad, that is left out at least, of a motion (n,) in rad."""
+    return max(COUNTS_AFTER_TURN * count, AFTER_TURN_PART * float(np.ptp(angle)))
+
+
 def _sliding(
     angle: Array, setpoint_speed: Array, interval: float, count: float, periodic: bool
 ) -> NDArray[np.bool_]:
@@ -291,8 +296,7 @@ def _sliding(
     More slowly, the loop nudges the rotor from count to count, and its motion within them is
     unseen.
     """
-    after_turn = max(COUNTS_AFTER_TURN * count, AFTER_TURN_PART * float(np.ptp(angle)))
-    bent = bristle(angle, after_turn / 4, periodic)
+    bent = bristle(angle, after_turn(angle, count) / 4, periodic)
     slides = (np.abs(bent) > 1 - np.exp(-4.0)) & (
         setpoint_speed * np.sign(bent) > SLIDING_COUNT_RATE * count
     )
