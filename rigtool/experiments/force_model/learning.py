@@ -24,12 +24,7 @@ from rigtool.experiments.force_model.model import (
     Term,
     terms_for,
 )
-from rigtool.experiments.force_model.records import (
-    COUNTS_AFTER_TURN,
-    SLIDING_COUNT_RATE,
-    Record,
-    after_turn,
-)
+from rigtool.experiments.force_model.records import SLIDING_COUNT_RATE, Record, bristle_scale
 from rigtool.experiments.force_model.sliding_problem import (
     SLIDING_PARAMETERS,
     Problem,
@@ -149,8 +144,7 @@ def learn_sliding(
     records = [record for record in records if record.used.any()]
     sizes = sizes_of(records)
     terms = terms_for(sizes, known)
-    # rows take bristles to be bent again after this way, whatever the count
-    bristle = min(after_turn(record.angle, count) for record in records) / COUNTS_AFTER_TURN
+    bristle = bristle_scale(max(float(np.ptp(record.angle)) for record in records), count)
     tried = [_start(sizes, known, count, bristle, stretch) for stretch in TENDON_STRETCHES.tolist()]
     showing = _showing_tendon(records)
     scan = Problem(showing, terms, known, tried[0], deviation, sizes.friction)

@@ -10,6 +10,7 @@ second order forward and backward,
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -283,9 +284,22 @@ def _means(signal: Array, by: int) -> Array:
     return means
 
 
-def after_turn(angle: Array, count: float) -> float:
-    """Return the angle after a turn, rad, that is left out at least, of a motion (n,) in rad."""
-    return max(COUNTS_AFTER_TURN * count, AFTER_TURN_PART * float(np.ptp(angle)))
+def bristle_scale(way: float, count: float) -> float:
+    """Return about the length of a short bristle, rad, from motion over a way, rad.
+
+    It is a count. With a fine encoder it is more counts, doubled as long as `COUNTS_AFTER_TURN` of
+    this length are within the part of the way in which bristles are bent again.
+    """
+    return count * 2.0 ** _doublings(AFTER_TURN_PART * way / COUNTS_AFTER_TURN / count)
+
+
+def halved(value: float, times: float) -> list[float]:
+    """Return a value / 2, 4, .. up to `times`."""
+    return [value / 2.0**n for n in range(1, 1 + _doublings(times))]
+
+
+def _doublings(times: float) -> int:
+    return math.floor(math.log2(max(1.0, times)))
 
 
 def _sliding(
@@ -296,7 +310,8 @@ def _sliding(
     More slowly, the loop nudges the rotor from count to count, and its motion within them is
     unseen.
     """
-    bent = bristle(angle, after_turn(angle, count) / 4, periodic)
+    after_turn = max(COUNTS_AFTER_TURN * count, AFTER_TURN_PART * float(np.ptp(angle)))
+    bent = bristle(angle, after_turn / 4, periodic)
     slides = (np.abs(bent) > 1 - np.exp(-4.0)) & (
         setpoint_speed * np.sign(bent) > SLIDING_COUNT_RATE * count
     )

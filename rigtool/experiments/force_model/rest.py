@@ -37,6 +37,7 @@ from rigtool.experiments.force_model.drive import MotorMap, drive_of, plant_of
 from rigtool.experiments.force_model.intervals import least_at
 from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind
+from rigtool.experiments.force_model.records import halved
 from rigtool.experiments.force_model.sliding_problem import (
     SLIDING_PARAMETERS,
     logarithms,
@@ -288,8 +289,7 @@ class RestProblem:
             2 + len(BY_REST.shape) + kinds.index(kind) for kind in (Kind.BEARING, Kind.HOUSING)
         )
         finer = self.learned.shape.bearing_length / self.explorations[0].count
-        halvings = 0.5 ** np.arange(1, 1 + math.floor(math.log2(max(1.0, finer))))
-        lengths = ([*some, *(some[0] * halvings)] for some in (SHORT, LONG))
+        lengths = ([*some, *halved(some[0], finer)] for some in (SHORT, LONG))
         for short, long, share in product(*lengths, SHARES):
             parameters = self.start.copy()
             parameters[:2] += np.log([short, long])

@@ -23,7 +23,7 @@ from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.learning import learn_sliding
 from rigtool.experiments.force_model.model import Kind, Known
 from rigtool.experiments.force_model.procedure_learning import LearnedForce, untouched_motions
-from rigtool.experiments.force_model.records import AFTER_TURN_PART, ROWS_HZ
+from rigtool.experiments.force_model.records import ROWS_HZ
 from rigtool.experiments.force_model.sliding_problem import (
     SLIDING_PARAMETERS,
     Problem,
@@ -67,15 +67,14 @@ def test_no_shape_near_the_learned_one_costs_less(fit):
         assert fit.problem.cost(stepped_shape(fit.learned.shape, way))[1] > least
 
 
-def test_bristles_begin_as_long_as_the_way_after_a_turn_allows_not_with_a_fine_count():
+def test_bristles_begin_at_more_counts_with_a_fine_encoder():
     records = [strokes(load, 4.0) for load in (0.0, 50e-3)]
     fine, coarse = (
         learn_sliding(records, KNOWN, count, CALM).learned.shape
         for count in (plant.COUNT / 10, plant.COUNT)
     )
-    after_turn = AFTER_TURN_PART * min(np.ptp(record.angle) for record in records)
-    assert 25 * fine.bearing_length == pytest.approx(after_turn)
-    assert 25 / 6 * fine.housing_length == pytest.approx(after_turn)
+    assert fine.bearing_length == pytest.approx(8 / 10 * plant.COUNT)
+    assert fine.housing_length == pytest.approx(6 * fine.bearing_length)
     assert coarse.bearing_length == pytest.approx(plant.COUNT, rel=1e-12)
 
 

@@ -17,7 +17,7 @@ from rigtool.experiments.force_filter.plant import (
 from rigtool.experiments.force_model.drive import plant_of
 from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
-from rigtool.experiments.force_model.records import COUNTS_AFTER_TURN, after_turn
+from rigtool.experiments.force_model.records import bristle_scale
 from rigtool.experiments.force_model.rest import (
     BY_REST,
     SPEED_RATE,
@@ -165,7 +165,7 @@ def test_a_fine_encoder_shows_bristles_of_many_counts_and_of_few(lengths):
     width = COUNT / 10
     truth = with_lengths(model(), *lengths)
     motion = explored(truth, 4.0, sizes=(0.005, 0.4), width=width)
-    begun = after_turn(np.array([0.0, 2.6]), width) / COUNTS_AFTER_TURN
+    begun = bristle_scale(2.6, width)
     found = learn_rest(with_lengths(truth, begun, 6 * begun), motion, UNCERTAINTY)
     assert found.shape.housing_length == pytest.approx(truth.shape.housing_length, rel=0.25)
     assert error(found, motion) < error(truth, motion)
