@@ -47,16 +47,17 @@ UNLIKELY = 1e-3
 """Probability of so few intervals that hold, if they hold in 95 %, below which a row fails."""
 
 SHORT = {
-    "calibrate-kt, 4 x 3": 8,
-    "calibrate-kt, 3 x 2": 8,
-    "calibrate-kt, friction x 4": 8,
-    "calibrate-kt, far": 8,
-    "calibrate-kt, wrong bench": 8,
-    "stribeck, near": 4,
-    "fft-ripple, near": 4,
-    "identify-plant, pulley, near": 4,
-    "identify-plant, pulley, far": 8,
-    "measure-force, pulley": 2,
+    "calibrate-kt, 4 x 3": 24,
+    "calibrate-kt, 3 x 2": 24,
+    "calibrate-kt, friction x 4": 24,
+    "calibrate-kt, far": 24,
+    "calibrate-kt, wrong bench": 24,
+    "stribeck, near": 10,
+    "fft-ripple, near": 10,
+    "identify-plant, pulley, near": 10,
+    "identify-plant, pulley, far": 16,
+    "identify-plant, instrument": 6,
+    "measure-force, pulley": 6,
 }
 """Rigs of each design in the short form."""
 

@@ -22,13 +22,19 @@ from drawn_rigs import (
     wrong,
 )
 
+from rigtool.control.plant_models import PlantModel
+from rigtool.control.position_loop import position_loop
 from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
 from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.plant.multisine import periodic, random_phases
 from rigtool.experiments.plant.procedure import PROCEDURE as IDENTIFY_PLANT
-from rigtool.experiments.plant.procedure_excitation import excited_lines, period_samples
+from rigtool.experiments.plant.procedure_excitation import (
+    excitations,
+    excited_lines,
+    multisine,
+    period_samples,
+)
 from rigtool.experiments.procedure import Procedure
 from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
 from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
@@ -171,10 +177,13 @@ def true_plant(recipe: Recipe) -> dict[str, float]:
     if recipe.rig.attachment == "pulley":
         return {"inertia": motor.inertia, "viscous_friction": motor.viscous_friction}
     near_side = motor.inertia + tool.wheel_inertia
-    antiresonance = math.sqrt(tool.stiffness / tool.grasper_inertia) / (2 * math.pi)
-    # What the motor feels: friction that grows with the tendon's torque adds to that torque.
     behind = tool.grasper_inertia / (rig.angle_ratio * rig.torque_factor)
-    behind *= 1 + tool.load_friction * growth(recipe, antiresonance)
+    antiresonance = math.sqrt(tool.stiffness / tool.grasper_inertia) / (2 * math.pi)
+    damping = tool.damping / (2 * math.sqrt(tool.stiffness * tool.grasper_inertia))
+    share = near_side / (near_side + behind)
+    plant = PlantModel(near_side + behind, 0.0, share, antiresonance, damping)
+    # What the motor feels: friction that grows with the tendon's torque adds to that torque.
+    behind *= 1 + tool.load_friction * growth(recipe, plant)
     return {
         "inertia": near_side + behind,
         "inertia_motor_side": near_side,
@@ -184,23 +193,31 @@ def true_plant(recipe: Recipe) -> dict[str, float]:
     }
 
 
-def growth(recipe: Recipe, antiresonance: float) -> float:
+def growth(recipe: Recipe, plant: PlantModel) -> float:
     """Return the mean slope of hypot(T, onset) over the tendon's torque T at the grasper, which
     the excitation swings about the friction of the tip (J. J. Bussgang, MIT RLE Tech. Rep. 216,
-    1952: what a linear response shows of a nonlinear one)."""
+    1952: what a linear response shows of a nonlinear one).
+
+    The excitation suits the nominal inertia; how far the shaft swings, the true `plant` decides.
+    """
     assert recipe.virtual is not None
-    tool, settings = recipe.virtual.instrument, recipe.identify_plant
+    tool, (first, *_) = recipe.virtual.instrument, excitations(recipe)
     lines, count = excited_lines(recipe), period_samples(recipe)
     frequency = lines / (count * recipe.rig.sample_time)
-    speed = random_phases(lines, count, np.random.default_rng([0]))
-    level = settings.swing * settings.stroke_speeds[0] / np.abs(periodic(lines, speed, count)).max()
-    ratio = frequency / antiresonance
-    lag = 1j * ratio * tool.damping / math.sqrt(tool.stiffness * tool.grasper_inertia)
-    follows = (1 + lag) / (1 - ratio**2 + lag) / recipe.rig.angle_ratio
-    swing = tool.grasper_inertia * 2 * np.pi * frequency * np.abs(speed * follows) * level
-    torque = tool.tip_friction + np.sqrt(np.sum(swing**2) / 2) * np.linspace(-5, 5, 2001)
-    weight = np.exp(-(np.linspace(-5, 5, 2001) ** 2) / 2)
-    return float(np.average(torque / np.hypot(torque, tool.load_friction_onset), weights=weight))
+    torque = np.fft.rfft(multisine(recipe, first))[lines] * 2 / count
+    loop = position_loop(**recipe.rig.loop_design)
+    controller = loop.complementary_sensitivity.response(frequency)
+    controller /= loop.process_sensitivity.response(frequency)
+    response = plant.response(frequency, recipe.rig.sample_time)
+    angle = torque * response / (1 + controller * response) / recipe.rig.angle_ratio
+    ratio = frequency / plant.antiresonance_hz
+    lag = 2j * plant.damping * ratio
+    follows = (1 + lag) / (1 - ratio**2 + lag)
+    swing = tool.grasper_inertia * (2 * np.pi * frequency) ** 2 * np.abs(angle * follows)
+    normal = np.linspace(-5, 5, 2001)
+    tendon = tool.tip_friction + np.sqrt(np.sum(swing**2) / 2) * normal
+    slope = tendon / np.hypot(tendon, tool.load_friction_onset)
+    return float(np.average(slope, weights=np.exp(-(normal**2) / 2)))
 
 
 def compare_ripple(outcome: Outcome, recipe: Recipe) -> Compared:

@@ -12,6 +12,7 @@ from rigtool.quantity import (
     Component,
     Quantity,
     combined,
+    customary,
     difference,
     error_line,
     format_number,
@@ -19,6 +20,7 @@ from rigtool.quantity import (
     inherited,
     input_line,
     scaled,
+    scattered,
     without,
 )
 
@@ -137,6 +139,36 @@ def test_lines_follow_their_quantity():
     assert without(known, "k").u == pytest.approx(0.3, rel=1e-12)
     assert without(known, "k").dof == pytest.approx(5.0, rel=1e-12)
     assert without(known, "none of it") is known
+
+
+def test_an_error_is_zero_on_average_and_a_number_of_infinite_dof_has_none():
+    line = error_line("scatter", 0.2, "N m", math.inf)
+    assert line == Component("scatter", 0.0, "N m", 0.2, None, 1.0)
+    single = scattered(3.0, "N m", 0.2, 7.0)
+    assert (single.value, single.u, single.dof) == (3.0, 0.2, 7.0)
+    assert single.budget == (Component("scatter", 0.0, "N m", 0.2, 7.0, 1.0),)
+
+
+@pytest.mark.parametrize(
+    ("name", "quantity", "expected"),
+    [
+        ("gain_margin", Quantity(2.0, "1", 0.02), (6.0206, 0.0869, "dB")),
+        ("reduction", Quantity(0.93, "1", 0.01), (93.0, 1.0, "%")),
+        ("reduction", Quantity(0.93, "N m", 0.01), (930.0, 10.0, "mN m")),
+        ("coherence_min", Quantity(0.93, "1", 0.01), (0.93, 0.01, "1")),
+        ("offset", Quantity(0.05, "A", 1e-3), (50.0, 1.0, "mA")),
+        ("offset", Quantity(0.2, "A", 1e-3), (0.2, 1e-3, "A")),
+        ("delay", Quantity(-2e-5, "s", 1e-6), (-20.0, 1.0, "µs")),
+        ("angle", Quantity(math.pi, "rad", 0.0), (180.0, 0.0, "deg")),
+    ],
+)
+def test_a_result_is_shown_in_its_customary_unit(name, quantity, expected):
+    shown = customary(name, quantity)
+    assert (shown.value, shown.u) == (
+        pytest.approx(expected[0], rel=1e-4),
+        pytest.approx(expected[1], rel=1e-3),
+    )
+    assert shown.unit == expected[2]
 
 
 def test_an_uncertainty_that_is_no_number_is_no_result():

@@ -47,6 +47,20 @@ def test_agrees_with_scipy_on_the_table_written_out():
     )
 
 
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 6])
+def test_any_number_of_low_speeds_scales_in_both_directions(count):
+    low = np.array([0.0, *np.linspace(0.3, 1.2, count), 1.5])
+    amplitude = np.array([0.0, *np.linspace(1.7, 0.8, count), 1.0])
+    learned = table(low_speed=low, amplitude=amplitude)
+    speed = np.linspace(-1.5, 1.5, 200)
+    expected = np.interp(np.abs(speed), low, amplitude)[:, None] * np.where(
+        speed[:, None] < 0, learned.torque[2], learned.torque[3]
+    )
+    for number in (0, 17, 60):
+        found = learned.evaluate(np.full(200, POSITION[number]), speed)
+        np.testing.assert_allclose(found, expected[:, number], rtol=1e-9, atol=1e-12)
+
+
 @settings(max_examples=50, deadline=None)
 @given(row=st.integers(0, len(SPEED) - 1), column=st.integers(0, len(POSITION) - 1))
 def test_returns_what_was_learned_at_its_entries(row, column):

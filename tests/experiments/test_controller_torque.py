@@ -2,13 +2,16 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
+from rigtool.control.position_loop import position_loop
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.controller_torque import (
     LOOP_CHANNELS,
     SIGNAL,
     TABLE,
     controller_torque,
+    encoder_shaking,
     loop_blocks,
     loop_signals,
     naming,
@@ -110,3 +113,20 @@ def test_an_error_names_its_recording():
         naming(Named()),
     ):
         raise InsufficientDataError("too few")
+
+
+@pytest.mark.parametrize("edges", [3.3, 17.7, 71.3, 1513.7])
+def test_a_shaft_shakes_by_the_steps_of_its_encoder(edges):
+    """At so many edges a second: a loop that follows steps in time; many edges are white noise."""
+    recipe, _ = load_recipe(RECIPE, ())
+    step, interval = 2 * np.pi / recipe.rig.encoder_counts, recipe.rig.sample_time
+    loop = position_loop(**recipe.rig.loop_design).complementary_sensitivity
+    angle = edges * interval * np.arange(int(10 / interval))
+    steps = np.floor(angle) - angle
+    if edges > 1000:
+        steps = np.random.default_rng(1).uniform(size=angle.size)
+    padded = np.pad(loop.num, (len(loop.den) - len(loop.num), 0))
+    followed = lfilter(padded, loop.den, steps)[angle.size // 2 :]
+    shaking = np.std(np.diff(followed)) / interval / edges
+    found = encoder_shaking(recipe, np.array([edges * step, -edges * step]))
+    np.testing.assert_allclose(found, shaking, rtol=0.07)

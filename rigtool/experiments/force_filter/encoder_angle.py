@@ -56,7 +56,7 @@ def known_angles(encoder: Array) -> tuple[Array, Array]:
     place, angle = np.concatenate(places), np.concatenate(angles)
     order = np.argsort(place, kind="stable")
     place, angle = place[order], angle[order]
-    keep = np.concatenate([[True], np.diff(place) > 1e-6])
+    keep = np.diff(place, prepend=-np.inf) > 1e-6
     return place[keep], angle[keep]
 
 

@@ -190,7 +190,7 @@ def learn_resting_part(
 
     def cost(part: float) -> float:
         errors = problem.errors_of(with_part(part)) / (problem.scale * HUBER_THRESHOLD)
-        return float(np.sum(np.hypot(1, errors) - 1))
+        return float(np.sum(np.hypot(1, errors)))
 
     return with_part(least_at(cost, *RESTING_PARTS))
 

@@ -34,7 +34,7 @@ from rigtool.experiments.ripple.orders import (
     remove_offset,
     spectrum,
 )
-from rigtool.experiments.torque_per_ampere import Effort, effort_of
+from rigtool.experiments.torque_per_ampere import effort_of
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity, scattered
 from rigtool.runfile import Run, Table
@@ -68,7 +68,8 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
         f"learned is the {effort.origin}, by measured position; below the lowest "
         "speed, where nothing was measured, it fades to zero at rest"
     )
-    return Outcome(_results(rows, table, effort), _tables(rows, table, effort), tuple(notes))
+    tables = _tables(rows, table, effort.name, effort.unit)
+    return Outcome(_results(rows, table, effort.unit), tables, tuple(notes))
 
 
 def _table_of(rows: Sequence[_Row], speed: Array) -> LookupTable:
@@ -224,7 +225,6 @@ def _learn_maps(runs: Sequence[Run]) -> Outcome:
     table = replace(
         table, speed=np.array([-MAP_SPEED, MAP_SPEED]), torque=np.repeat(table.torque, 2, 0)
     )
-    effort = Effort(np.zeros(0), maps.unit, maps.signal, 0.0, maps.signal)
     notes = [
         f"learned from {count} map{'s' * (count > 1)}: orders {row.listed()}",
         f"a map states no speed: its table holds from {MAP_SPEED:g} rad/s on, in both directions",
@@ -233,33 +233,32 @@ def _learn_maps(runs: Sequence[Run]) -> Outcome:
         notes.append(
             "one map shows no repeatable part: the noise of an order is taken from those around it"
         )
-    return Outcome(_results([row], table, effort), _tables([row, row], table, effort), tuple(notes))
+    tables = _tables([row, row], table, maps.signal, maps.unit)
+    return Outcome(_results([row], table, maps.unit), tables, tuple(notes))
 
 
-def _results(rows: Sequence[_Row], table: LookupTable, effort: Effort) -> dict[str, Quantity]:
+def _results(rows: Sequence[_Row], table: LookupTable, unit: str) -> dict[str, Quantity]:
     """Return ripple, non-repeatable part, and the strongest orders, of the lowest speed."""
     row = rows[int(np.argmin(np.abs(table.speed)))]
     rms, u = row.orders.rms()
-    results = {"learned_rms": scattered(rms, effort.unit, u, row.dof)}
+    results = {"learned_rms": scattered(rms, unit, u, row.dof)}
     if row.non_repeatable is not None:
         scatter_u = row.non_repeatable / math.sqrt(2 * row.dof)
-        results["non_repeatable_rms"] = scattered(
-            row.non_repeatable, effort.unit, scatter_u, row.dof
-        )
+        results["non_repeatable_rms"] = scattered(row.non_repeatable, unit, scatter_u, row.dof)
     reason = None if row.mean_u is not None else "nothing was repeated"
     dof = None if row.mean_u is None else row.dof / 2
-    results["learned_mean"] = Quantity(row.mean, effort.unit, row.mean_u, dof, reason)
+    results["learned_mean"] = Quantity(row.mean, unit, row.mean_u, dof, reason)
     for order in row.orders.ranked(ORDERS_REPORTED):
         one = row.orders.only(row.orders.order == order)
         results[f"order_{order}_amplitude"] = scattered(
-            float(one.amplitude[0]), effort.unit, float(one.u[0]), row.dof
+            float(one.amplitude[0]), unit, float(one.u[0]), row.dof
         )
     return {**results, **period_results(table)}
 
 
-def _tables(rows: Sequence[_Row], table: LookupTable, effort: Effort) -> dict[str, Table]:
+def _tables(rows: Sequence[_Row], table: LookupTable, name: str, unit: str) -> dict[str, Table]:
     """Return the learned tables; they fade to zero at rest, as no lower speed was recorded."""
     fading = Amplitudes.fading(float(table.low_speed[-1]))
     u = np.repeat([[row.u] for row in rows], MAP_POSITIONS, axis=1)
     dof = np.array([row.u_dof for row in rows])
-    return tables_of(table, u, fading, dof, (effort.name, effort.unit), measured=True)
+    return tables_of(table, u, fading, dof, (name, unit), measured=True)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rigtool.experiments.torque_constant.gauge_rounding import rounding_errors, spread_over_zeros
 from rigtool.experiments.torque_constant.hypotheses import weigh_hypotheses
 from rigtool.experiments.torque_constant.staircase import Plateaus
 from rigtool.experiments.torque_constant.staircase_levels import (
@@ -39,8 +40,9 @@ from rigtool.numerics.turn_mean import mean_over_turn
 SAME_TEMPERATURE = 2.0
 """Range of staircases that count as one temperature, K."""
 
-GAUGE_PHASES = 12
-"""Places of the gauge's zero within one of its steps that are tried."""
+COARSE = 1e-3
+"""Relative uncertainty of a slope by the gauge's rounding from which hypotheses are tried on that
+rounding, too; below, it is little beside friction's own."""
 
 
 @dataclass(frozen=True)
@@ -124,8 +126,13 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     noisy = replace(stairs, courses=stairs.courses.with_noise())
     along_noise = _solve(noisy, hypotheses.best, coefficient, rise).loss
     share = abs(straight_slope(stairs) / constant - 1 + solution.heating)
-    rounding = _rounding_errors(stairs, solution.fit)
+    fitted = stairs.torque - solution.fit.residual
+    errors = rounding_errors(stairs, fitted)
+    rounding = np.stack([solution.fit.solve(error)[0][:, 0] for error in errors])
     resolution_u, trend_resolution_u = (_rms(rounding @ each) for each in (average, trend))
+    moved_u = 0.0
+    if resolution_u > COARSE * abs(constant):
+        moved_u = spread_over_zeros(plateaus, stairs, fitted + errors[::2], coefficient, trend)
     u, dof = _lack_of_fit(stairs, solution, average, resolution_u)
     trend_u = _trend_scatter(stairs, solution, trend, trend_resolution_u)
     require_dithered(stairs, solution.fit.residual)
@@ -159,7 +166,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         friction_u=math.hypot(u, hypotheses.spread) / constant,
         friction_dof=dof,
         friction_share=share,
-        resolution_u=resolution_u / constant,
+        resolution_u=max(resolution_u, moved_u) / constant,
         rounding=rounding,
         trend_u=math.hypot(trend_u, hypotheses.drift, trend_resolution_u),
         transition=hypotheses.best.transition,
@@ -368,33 +375,3 @@ def _trend_scatter(stairs: Stairs, solution: _Solution, trend: Array, rounding_u
     square = single * float(np.sum(fit.response(trend) ** 2))
     own = float(np.sum((trend * solution.u) ** 2)) + rounding_u**2
     return math.sqrt(max(square - own, 0.0))
-
-
-def _rounding_errors(stairs: Stairs, fit: _LeastSquares) -> Array:
-    """Return what the gauge's resolution adds to each slope, (`GAUGE_PHASES`, m) N m/A.
-
-    Readings are rounded alike wherever the torque is the same, so that their errors do not average
-    out as scatter does. The fitted torque is rounded with its zero at `GAUGE_PHASES` places within
-    one step of the gauge, and the slopes taken from the readings' errors. Noise of standard
-    deviation sigma before rounding leaves a mean error of
-
-        sum over k of (-1)^k q/(pi k) sin(2 pi k x/q) exp(-2 (pi k sigma/q)^2)
-
-    (B. Widrow, I. Kollar, Quantization Noise, 2008, section 9.4).
-    """
-    q = stairs.resolution
-    if q == 0:
-        return np.zeros((1, len(stairs.torque)))
-    # The scatter of rounded readings of little noise is sigma q/sqrt(pi); of much, sigma2 + q2/12.
-    square = stairs.noise**2
-    little = square < q**2 / 6
-    sigma = math.sqrt(math.pi) * square / q if little else math.sqrt(square - q**2 / 12)
-    fitted = stairs.torque - fit.residual
-    slopes = []
-    for phase in np.arange(GAUGE_PHASES) / GAUGE_PHASES:
-        error = np.zeros(fitted.shape)
-        for k in range(1, 6):
-            left = math.exp(-2 * (math.pi * k * sigma / q) ** 2)
-            error += (-1) ** k * left / k * np.sin(2 * np.pi * k * (fitted / q + phase))
-        slopes.append(fit.solve(error * stairs.weight * q / math.pi)[0][:, 0])
-    return np.stack(slopes)

@@ -239,7 +239,9 @@ def longest_lag(courses: Courses) -> float | None:
     seen = swings[2] != 0
     if np.mean(seen[:, 1:]) <= 0.5:
         return None
-    half_period = float(np.quantile(((when[1] - when[0]) * courses.part)[seen], 0.9))
+    # Of an arm that turns only once on a plateau, the step itself began the half period.
+    between = np.where(when[1] > 0, when[1] - when[0], when[0]) * courses.part
+    half_period = float(np.quantile(between[seen], 0.9))
     return 2 * LARGEST_DAMPING * half_period / math.pi
 
 

@@ -236,10 +236,14 @@ def test_tables_for_the_figures(tmp_path, inputs):
     outcome, _ = measured(tmp_path, rig, inputs(recipe))
     tables = outcome.tables
     position = tables["feedforward"]["position"]
-    assert (position[0], position[-1]) == (0, 3400)
+    np.testing.assert_allclose(position, np.linspace(0, 3400, 341), atol=1e-9)
+    for name in ("cycles_no_load", "mean_cycles"):
+        np.testing.assert_array_equal(tables[name]["position"], position)
     assert tables["feedforward"]["torque"][85] == pytest.approx(12e-3 + 1e-3, rel=0.05)
     assert tables["feedforward"]["torque"][255] == pytest.approx(-13e-3, rel=0.05)
     assert tables["cycles_no_load"].shape == (6, 341)
+    last = tables["cycles_no_load"]["torque"][-1] / recipe.rig.torque_factor
+    np.testing.assert_allclose(tables["feedforward"]["residual"], last, rtol=1e-12)
     mean = tables["cycles_no_load"]["torque"].mean(axis=0)
     np.testing.assert_allclose(tables["mean_cycles"]["torque"][0], mean, rtol=1e-12)
     assert tables["values"].shape == (3, 6)

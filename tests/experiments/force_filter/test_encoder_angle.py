@@ -1,6 +1,7 @@
 """The angle between an encoder's counts, of slow motions that are known."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
@@ -29,3 +30,11 @@ def test_the_angle_between_edges_is_that_of_a_steady_rotor():
     place = np.linspace(20, 380, 97)
     found = interpolated(recorded(700.3, 0.1), place)
     assert_allclose(found, 700.3 + 0.1 * place, rtol=0, atol=0.01)
+
+
+@pytest.mark.parametrize("samples", [1, 2, 50])
+def test_a_rotor_that_never_moves_is_in_the_middle_of_its_count(samples):
+    place = np.linspace(0, samples, 7)
+    np.testing.assert_array_equal(interpolated(np.full(samples, -3.0), place), -2.5)
+    known, angle = known_angles(np.full(samples, -3.0))
+    assert known.size == angle.size == 0

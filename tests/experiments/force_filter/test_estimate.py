@@ -1,6 +1,7 @@
 """The filter finds a torque that the plant's own equations have felt, and says how well."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -118,6 +119,37 @@ def test_torque_is_found_and_its_uncertainty_holds(recording):
     angle = causal.states[used, ANGLE]
     inside = signals.low[STEP::STEP][: len(truth)][used]
     assert np.mean((angle > inside - 0.2 * WIDTH) & (angle < inside + 1.2 * WIDTH)) > 0.999
+
+
+OF_TORQUE = (
+    *("inertia", "coulomb", "static", "stiffness", "damping", "grasper_inertia"),
+    *("housing_friction", "housing_viscous", "tip_friction", "load_friction_onset"),
+)
+"""Parameters of the plant in proportion to the unit of torque."""
+
+
+def test_the_unit_of_torque_changes_nothing(recording):
+    """Causal and smoothed."""
+    unit, whole = 64.0, recording[0]
+    count = round(4.5 / PLANT.sample_time)  # a rest, and contacts before and after it
+    signals = Signals(whole.drive_torque[:count], whole.viscous[:count], whole.low[:count], WIDTH)
+    plant = replace(PLANT, **{name: unit * getattr(PLANT, name) for name in OF_TORQUE})
+    names = ("stroke", "friction_noise", "torque_start")
+    names += ("torque_rate", "slow_torque_rate", "step_torque_rate")
+    doubt = replace(UNCERTAINTY, **{name: unit * getattr(UNCERTAINTY, name) for name in names})
+    scaled = replace(
+        signals, drive_torque=unit * signals.drive_torque, viscous=unit * signals.viscous
+    )
+    one = Filter(PLANT, UNCERTAINTY, STEP, BAND).add(signals)
+    other = Filter(plant, doubt, STEP, BAND).add(scaled)
+    for name in ("torque", "passed", "deviation"):
+        np.testing.assert_allclose(
+            getattr(other, name) / unit, getattr(one, name), rtol=1e-6, atol=1e-9
+        )
+    later = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
+    again = smoothed(plant, doubt, STEP, BAND, scaled)
+    for first, second in zip(later, again, strict=True):
+        np.testing.assert_allclose(second / unit, first, rtol=1e-6, atol=1e-9)
 
 
 def test_the_amplitude_of_a_sine_at_the_bandwidth_is_right():

@@ -53,6 +53,32 @@ def test_a_tail_that_few_values_show_is_followed_further():
     assert 1.1 * many < few < 3 * many
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_jump_away_from_zero_is_a_contact_and_one_towards_zero_is_none(sign):
+    """By jumps alone: no level is high enough."""
+    limits, steps = np.tile([1e-3, np.inf], (3, 1)), np.arange(5000)
+    pulse = sign * np.where((steps > 3000) & (steps <= 3800), 5e-3, 0.0)
+    (found,) = contacts(look(pulse), limits)
+    assert (found.begin, found.end) == (pytest.approx(3001, abs=5), pytest.approx(3801, abs=5))
+    assert 3001 <= found.found < 3020
+    ends = sign * np.where(steps > 3500, 0.4e-3, 5e-3)
+    assert contacts(look(ends), limits) == []
+    assert contacts(look(0.1 * pulse), limits) == []
+
+
+def test_the_unit_of_torque_changes_no_contact():
+    unit, time = 64.0, np.arange(30_000) * STEP
+    own = [errors(100, 8), errors(30, 9) + np.where(time % 7 > 5, 5e-3, 0.0)]
+    limits, found = [], []
+    for scale in (1.0, unit):
+        quiet, touched = (look(scale * each, size=0.2e-3 * scale) for each in own)
+        limits.append(thresholds([quiet]) / np.array([scale, 1.0]))
+        found.append(contacts(touched, thresholds([quiet])))
+    np.testing.assert_allclose(limits[1], limits[0], rtol=1e-9)
+    assert len(found[0]) >= 4
+    assert found[1] == found[0]
+
+
 @pytest.mark.compiles
 def test_what_is_in_doubt_is_no_contact():
     """Ripple that may be another's, 0.9 mN m, is found where it is certain."""

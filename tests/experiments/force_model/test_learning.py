@@ -78,6 +78,44 @@ def test_bristles_begin_at_more_counts_with_a_fine_encoder():
     assert coarse.bearing_length == pytest.approx(plant.COUNT, rel=1e-12)
 
 
+def test_the_unit_of_torque_changes_nothing():
+    """Model and covariance from strokes whose torques, moments and inertias are larger."""
+    unit, records = 64.0, [strokes(load, 4.0) for load in (LOADS[0], LOADS[-1])]
+    larger = [
+        replace(
+            record,
+            torque_constant=unit * record.torque_constant,
+            moment=unit * record.moment,
+            load_inertia=unit * record.load_inertia,
+            torques=unit * record.torques,
+        )
+        for record in records
+    ]
+    deviation = replace(CALM, stroke=unit * CALM.stroke, noise=unit * CALM.noise)
+    one = learn_sliding(records, KNOWN, plant.COUNT, CALM)
+    known = replace(KNOWN, inertia=unit * KNOWN.inertia)
+    other = learn_sliding(larger, known, plant.COUNT, deviation)
+    found = one.learned, other.learned
+    without = (Kind.LOAD_FRICTION, Kind.CARRIED, Kind.GAIN_RIPPLE, Kind.SQUARE_RIPPLE, Kind.DELAY)
+    sizes = np.array([1.0 if term.kind in without else unit for term in found[0].terms])
+    # the drive's current flows as before
+    np.testing.assert_allclose(
+        found[1].coefficient / sizes, found[0].coefficient, rtol=1e-3, atol=1e-7
+    )
+    named = ("stiffness", "damping", "tip_friction", "grasper_inertia", "load_onset")
+    for name, value in vars(found[0].shape).items():
+        size = unit if name in named else 1.0
+        assert getattr(found[1].shape, name) / size == pytest.approx(value, rel=1e-3)
+    whole = np.append(np.ones(len(SLIDING_PARAMETERS)), sizes)
+    u, other_u = (np.sqrt(np.diag(model.covariance)) for model in found)
+    np.testing.assert_allclose(other_u / whole, u, rtol=1e-3)
+    chosen = [True] * len(records)
+    spread, other_spread = (
+        np.sqrt(np.diag(fit.covariance_of(fit.learned, chosen))) for fit in (one, other)
+    )
+    np.testing.assert_allclose(other_spread / whole, spread, rtol=2e-3)
+
+
 def test_a_longer_step_that_raises_the_cost_is_shortened(fit):
     problem, shape = fit.problem, fit.learned.shape
     normal = problem.normal(shape, fit.learned.coefficient).sum(axis=0)
@@ -210,6 +248,33 @@ def test_what_friction_deviates_is_measured():
     assert found.noise == pytest.approx(0.1e-3, rel=0.3)
     assert 0.05 < found.noise_time < 0.45
     assert 50e-3 / plant.FACTOR * found.load < found.stroke / 2  # nothing grew with the load
+
+
+@pytest.mark.parametrize("part", [0.1, 0.4, 0.6])
+def test_a_period_may_begin_anywhere_in_a_stroke(part):
+    """Where it cuts a stroke in two, the second half belongs to the cycle before."""
+    records = [
+        strokes(0.0, 1.0, cycles=30, deviation=0.4e-3, noise=(0.1e-3, 0.15), seed=seed)
+        for seed in range(2)
+    ]
+    turned = []
+    for record in records:
+        by = round(part * record.angle.size)
+        rows = round(part * record.count)
+        series = record.torques.reshape(-1)[rows : len(record.torques[0]) * -1 + rows or None]
+        turned.append(
+            replace(
+                record,
+                angle=np.roll(record.angle, -by),
+                current=np.roll(record.current, -by),
+                trusted=np.roll(record.trusted, -by),
+                torques=series.reshape(-1, record.count),
+                cycles=record.cycles - 1,
+            )
+        )
+    found = deviations(turned, plant.RATIO, plant.FACTOR)
+    assert found.stroke == pytest.approx(0.4e-3, rel=0.15)
+    assert found.noise == pytest.approx(0.1e-3, rel=0.4)
 
 
 @pytest.mark.parametrize("payback", [0.0, 0.9])

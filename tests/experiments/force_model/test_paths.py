@@ -150,3 +150,22 @@ def test_where_a_rotor_turns_within_a_count_is_not_taken_for_the_edge(side):
         errors.append(side * (found - counts.reshape(-1, 16).mean(axis=1))[225:275].mean())
     assert np.max(np.abs(errors)) < 0.55
     assert abs(np.mean(errors)) < 0.06
+
+
+@pytest.mark.parametrize("period", [0.7, 1.7, 2.5])
+def test_a_motion_that_repeats_may_be_cut_anywhere(period):
+    """Also where the cut is in the middle of a fast stroke; a swing settles before."""
+    count = round(period / 2e-3)
+    phase = 2 * np.pi * np.arange(count) / count
+    angle = 1.3 + 0.9 * np.sin(phase) + 0.2 * np.cos(3 * phase)
+    given = (2e-3, 0.3, 4e-3, 1e-4, 2e-3, 0.05, 0.04, True)
+    whole = tendon(angle, *given)
+    for by in (count // 4, count // 2, 3 * count // 4):
+        for one, other in zip(whole, tendon(np.roll(angle, -by), *given), strict=True):
+            np.testing.assert_allclose(np.roll(other, by), one, rtol=0, atol=2e-5)
+    for function in (
+        lambda path: bristle(path, 0.2, True),
+        lambda path: lagged(path[None], 2e-3, 0.05, True)[0],
+    ):
+        turned = np.roll(function(np.roll(angle, -(count // 3))), count // 3)
+        np.testing.assert_allclose(turned, function(angle), rtol=0, atol=1e-6)

@@ -119,3 +119,15 @@ def test_angles_belong_to_the_middle_of_what_acts_at_any_rate_of_a_loop(rate, sp
     late = (low + 0.5 - speed * acts)[grid.step_samples :: grid.step_samples]
     assert abs(late.mean()) < 0.1
     assert np.abs(late).max() <= 0.5 + 1e-6
+
+
+@pytest.mark.parametrize("interval", [2e-3, 4e-3])
+@pytest.mark.parametrize("rate", [0.3, 0.8, 1.2, 1.7, -1.95, -2.5])
+def test_counts_between_samples_are_known_to_a_third_of_a_count(interval, rate):
+    """Rounding alone leaves 0.29; the rotor passes `rate` counts from one sample to the next."""
+    encoder = np.floor(0.37 + rate * np.arange(2000))
+    grid = FilterSteps.of(interval, interval)
+    middle = (np.arange(2000 * grid.divided) + 0.5) / grid.divided
+    off = (grid.counts(encoder) + 0.5 - (0.37 + rate * middle))[100:-100]
+    assert abs(off.mean()) < 0.15
+    assert off.std() < 0.4

@@ -12,7 +12,7 @@ from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
-from rigtool.experiments.force_sensor.encoder_zero import encoder_zero
+from rigtool.experiments.force_sensor.encoder_zero import _Search, encoder_zero
 from rigtool.experiments.force_sensor.unknown_friction import ANGLE_CELLS, Passes
 
 COUNT = 2 * math.pi / 4000
@@ -152,3 +152,32 @@ def test_another_zero_is_taken_at_long_odds_only(monkeypatch, log_odds, found):
 
     monkeypatch.setattr("rigtool.experiments.force_sensor.encoder_zero._Search", Passed)
     assert (zero_of(passes(np.random.default_rng(0), 0)) is not None) == found
+
+
+@pytest.mark.parametrize("again", [True, False])
+def test_what_passes_scatter_by_is_that_of_drawn_terms(again):
+    """By the learned covariance; of another power-up, the waves have drawn phases besides."""
+    rng, count, moved = np.random.default_rng(5), 4000, 0.3
+    own = passes(rng, 0)
+    search = _Search(model(), REACH, own.direction, own.torque)
+    mean, root = search._hypotheses[0 if again else 1]
+    waves = search._waves(moved)
+    learned = model().learned
+    drawn = learned.coefficient + 0.05e-3 * rng.standard_normal((count, 8))
+    if not again:
+        for first, amplitude in ((4, math.hypot(0.3e-3, 0.2e-3)), (6, math.hypot(0.1e-3, 0.8e-3))):
+            phase = 2 * math.pi * rng.random(count)
+            drawn[:, first] = amplitude * np.cos(phase)
+            drawn[:, first + 1] = amplitude * np.sin(phase)
+    angle = ANGLE - moved
+    functions = [np.ones(ANGLE_CELLS), np.ones(ANGLE_CELLS)]
+    functions += [np.cos(angle / RATIO), np.sin(3 * angle / RATIO)]
+    both = [
+        [*(way * one for one in functions), *(ripple(angle, {key: 1.0}) for key in RIPPLE)]
+        for way in (1.0, -1.0)
+    ]
+    torques = FACTOR * drawn @ np.concatenate(both, axis=1)
+    np.testing.assert_allclose(waves @ mean, torques.mean(axis=0), atol=0.05e-3)
+    spread = waves @ root @ root.T @ waves.T
+    size = np.max(np.var(torques, axis=0))
+    np.testing.assert_allclose(spread, np.cov(torques.T), atol=0.08 * size)

@@ -1,5 +1,7 @@
 """Ripple of another power-up is found in the torque, that of the learned one is left alone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -94,6 +96,47 @@ def test_ripple_of_another_power_up_is_found_under_contacts(another):
     whole, left, _ = power_up.whole(angle, states[:, TORQUE])
     assert np.sqrt(np.mean((whole - added) ** 2)) < 0.3 * np.sqrt(np.mean(added**2))
     assert np.mean(np.abs(whole - added) < 1.96 * np.sqrt(left)) > 0.95
+
+
+def in_unit(own, unit):
+    """Return a model whose torques are in another unit than N m."""
+    learned, shape, known = own.learned, own.learned.shape, own.learned.known
+    names = ("stiffness", "damping", "tip_friction", "grasper_inertia", "load_onset")
+    changed = {name: unit * getattr(shape, name) for name in names}
+    deviations = replace(
+        own.deviations, stroke=unit * own.deviations.stroke, noise=unit * own.deviations.noise
+    )
+    return ForceModel(
+        replace(
+            learned,
+            shape=replace(shape, **changed),
+            known=replace(known, inertia=unit * known.inertia),
+            coefficient=unit * learned.coefficient,
+            covariance=unit**2 * learned.covariance,
+        ),
+        deviations,
+    )
+
+
+@pytest.mark.parametrize("gain", [0.0, 0.01])
+def test_the_unit_of_torque_changes_nothing(gain):
+    """Also where the filter follows by its own gains instead of bearings that hold the rotor."""
+    time, angle, states = motion(15.0)
+    added = ripple(OTHER, angle) - ripple(LEARNED, angle)
+    states[:, TORQUE] = ramps(time, 4e-3, 8.0) + contact(time) + noise(time, states) + added
+    unit, results = 64.0, []
+    for scale in (1.0, unit):
+        gains, drive = follows(states)
+        gains += gain * np.array([1.0, 1.0, 1.0, scale, scale, scale])
+        scaled = states.copy()
+        scaled[:, TORQUE] *= scale
+        power_up = PowerUp(in_unit(model(1e-4), scale), STEP, BANDWIDTH)
+        found, variance, less, _ = power_up.add(angle, scaled, gains, drive)
+        whole, left, _ = power_up.whole(angle, scaled[:, TORQUE])
+        torques, variances = np.stack([found, less, whole]), np.stack([variance, left])
+        results.append((torques / scale, variances / scale**2, power_up.probability))
+    for one, other in zip(*results, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-12)
 
 
 def test_motion_over_a_small_part_of_a_turn_shows_the_mean_of_the_ripple_there():

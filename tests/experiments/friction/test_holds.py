@@ -46,6 +46,24 @@ def test_intervals_hold_wherever_the_noise_has_its_corner(cycles, lowest):
     assert 0.8 < np.sqrt(np.mean(np.square(u))) / exact < 1.45
 
 
+@pytest.mark.parametrize("cycles", [1.0, 6.0, 200.0])
+def test_units_of_torque_and_time_change_nothing(cycles):
+    signals, torque, time = drawn_hold(cycles, np.random.default_rng(3)), 64.0, 0.25
+    one = find_holds(**signals, setpoint=signals["angle"], inertia=1e-5)
+    other = find_holds(
+        time=time * signals["time"],
+        angle=signals["angle"],
+        torque=torque * signals["torque"],
+        setpoint=signals["angle"],
+        inertia=torque * time**2 * 1e-5,
+    )
+    for name, unit in (
+        *(("torque", torque), ("u", torque), ("speed", 1 / time), ("settled", time)),
+        *(("dof", 1.0), ("revolutions", 1.0), ("uneven", 1.0)),
+    ):
+        assert_allclose(getattr(other, name) / unit, getattr(one, name), rtol=1e-9)
+
+
 def test_a_hold_without_noise_has_the_degrees_of_freedom_of_its_spectrum():
     """Each ordinate of a periodogram is a chi-square of two degrees of freedom."""
     assert _uncertainty(np.full(SAMPLES, 5.0), TURNS) == (0.0, 2 * NOISE_ORDINATES)

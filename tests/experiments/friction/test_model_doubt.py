@@ -6,9 +6,11 @@ from scipy.signal import lfilter
 
 from rigtool.experiments.friction.model_doubt import (
     RESIDUAL_RANGES,
+    RIPPLES_A_STROKE,
     STRIBECK_VELOCITIES,
     TIME_PARTS,
     curvature,
+    long_ripple,
     own_part,
     structure,
 )
@@ -118,3 +120,38 @@ def test_curvature_is_the_error_of_the_straight_line():
     np.testing.assert_allclose(doubt[:2], error[:2], rtol=0.02)
     nothing = np.mean([error_and_doubt(0.0)[1] for _ in range(20)], axis=0)
     assert np.all(nothing[:2] < 0.02 * doubt[:2])
+
+
+@pytest.mark.parametrize("kind", ["curvature", "long ripple"])
+def test_a_doubt_is_without_what_chance_gives(kind):
+    """Change^2 (1 - 4 / F), F that of least squares in white noise that resembles no term."""
+    speed = np.gradient(PLACES, TIME)
+    speed[np.abs(speed) < 1] = 0
+    moves = (speed != 0) * 1.0
+    design = np.column_stack([speed, np.sign(speed), moves])
+    if kind == "curvature":
+        heights = speed[:, None] / (STRIBECK_VELOCITIES * np.max(np.abs(speed)))
+        terms = np.sign(speed)[:, None, None] * np.exp(-(heights**2))[:, :, None]
+    else:
+        turns = 2 * np.pi * (PLACES - PLACES[speed != 0].mean()) / np.ptp(PLACES[speed != 0])
+        angles = np.multiply.outer(turns, RIPPLES_A_STROKE)
+        terms = moves[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    count = terms.shape[2]
+    everything = np.column_stack([design, terms.reshape(COUNT, -1)])
+    basis, size, _ = np.linalg.svd(everything, full_matrices=False)
+    basis = basis[:, size > 1e-9 * size[0]]
+    term = terms[:, 4] @ np.full(count, 0.7)
+    line = np.linalg.lstsq(design, term, rcond=None)[0]
+    rest = term - design @ line
+    random = np.random.default_rng(8)
+    for fisher in (40.0, 8.0, 2.0):
+        deviation, found = np.sqrt(rest @ rest / count / fisher), []
+        for _ in range(8):
+            noise = moves * random.normal(0, deviation, COUNT)
+            left = rest + noise - basis @ (basis.T @ noise)
+            if kind == "curvature":
+                found.append(curvature(speed, design[:, 1], left, design, COUNT))
+            else:
+                found.append(long_ripple(PLACES, moves, left, design, COUNT))
+        expected = np.abs(line) * np.sqrt(max(1 - 4 / fisher, 0))
+        np.testing.assert_allclose(np.mean(found, axis=0), expected, rtol=0.06)

@@ -62,6 +62,20 @@ def test_a_payload_is_weighed_by_another_one():
     assert 0.4 < np.sqrt(np.mean(np.square(pulls))) < 2
 
 
+def test_the_unit_of_torque_changes_no_ratio():
+    unit, runs = 64.0, (arm(0.0, 1), arm(0.205, 2), arm(0.105, 3))
+    larger = [replace(run, effort=unit * run.effort) for run in runs]
+    pairs = list(zip(changes(runs[0], runs[1:]), changes(larger[0], larger[1:]), strict=True))
+    for one, other in pairs:
+        for name in ("inertia", "viscous", "coulomb"):
+            scaled = np.array(other.estimate(name)) / unit
+            np.testing.assert_allclose(scaled, one.estimate(name), rtol=1e-6)
+        np.testing.assert_allclose(np.array(other.gravity()) / unit, one.gravity(), rtol=1e-6)
+        assert other.residual_rms / unit == pytest.approx(one.residual_rms, rel=1e-6)
+    (heavy, heavy_too), (light, light_too) = pairs
+    np.testing.assert_allclose(ratio(heavy_too, light_too), ratio(heavy, light), rtol=1e-5)
+
+
 def test_one_frequency_separates_no_gravity():
     sines = ((0.05, 0.5, 0.0),)
     (change,) = changes(arm(0, 1, sines=sines), [arm(0.2, 2, sines=sines)])

@@ -1,7 +1,9 @@
 """The loop of recordings that is compared with those learned."""
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
+from scipy import stats
 
 from rigtool.experiments.imported_load.loop import learn_loop
 
@@ -16,3 +18,56 @@ def test_mean_and_deviation_are_those_of_the_recordings():
     assert_allclose(found.offset, np.std([2.0, 4.0, 9.0], ddof=1), rtol=1e-12)
     assert_allclose(found.shape, 0, atol=1e-12)
     assert found.recordings == 3
+
+
+def recordings(count, seed):
+    """Return place, direction, torque and number of recordings, whose loops have an offset of 2,
+    a shape of 0.5 in each of 20 cells, and the mean 3 + cell; one has not been in cell 4."""
+    rng = np.random.default_rng(seed)
+    loops = 3 + np.arange(20) + rng.normal(0, 2, (count, 1)) + rng.normal(0, 0.5, (count, 20))
+    place = np.tile((np.repeat(np.arange(20), 4) + 0.5) / 20, 2 * count)
+    rising = np.tile(np.repeat([True, False], 80), count)
+    number = np.repeat(np.arange(count), 160)
+    cell = np.floor(place * 20).astype(int)
+    torque = np.where(rising, 0.3, -0.7) * loops[number, cell] + 5 * cell
+    torque[(number == 1) & (cell == 4) & rising] = np.nan
+    return place, rising, torque, number, loops
+
+
+def test_parts_of_a_recording_are_those_of_its_offset_and_shape():
+    *rows, loops = recordings(6, 1)
+    found = learn_loop(*rows)
+    loops[1, 4] = np.nan
+    apart = loops - np.nanmean(loops, axis=0)
+    offsets = np.array([np.mean(row[np.isfinite(row)]) for row in apart])
+    assert_allclose(found.offset, np.sqrt(np.sum(offsets**2) / 5), rtol=1e-9)
+    shapes = apart - offsets[:, None]
+    squares = np.nansum(shapes**2, axis=0) / np.where(np.arange(20) == 4, 4, 5)
+    assert_allclose(found.shape, np.sqrt(squares), rtol=1e-9)
+    for number in (0, 1, 5):
+        own = rows[3] == number
+        offset, shape = found.parts(*(each[own] for each in rows[:3]))
+        assert_allclose(offset, offsets[number] / found.offset, rtol=1e-9)
+        ratio = shapes[number] / found.shape
+        assert_allclose(shape**2, np.nanmean(ratio**2), rtol=1e-9)
+
+
+def test_limits_are_those_of_student_and_fall_with_the_runs():
+    found = learn_loop(*recordings(6, 2)[:4])
+    assert_allclose(found.limit(0.95), stats.t.interval(0.95, 5)[1], rtol=1e-9)
+    # one run deviates as a recording does, and the mean of those learned with it
+    assert_allclose(found.limit_of_mean(0.99, 1) / found.limit(0.99), np.sqrt(7 / 6), rtol=1e-9)
+    # what runs have in common never averages out
+    many = found.limit_of_mean(0.99, 10**9) / found.limit(0.99)
+    assert_allclose(many, np.sqrt(1 / 4 + 1 / 6), rtol=1e-6)
+
+
+@pytest.mark.parametrize("cells", [2, 3])
+def test_a_loop_in_few_cells_is_not_compared(cells):
+    *rows, _ = recordings(4, 3)
+    found = learn_loop(*rows)
+    some = (rows[3] == 0) & (rows[0] * 20 < cells)
+    parts = found.parts(*(each[some] for each in rows[:3]))
+    assert np.isfinite(parts).all() == (cells == 3)
+    once = some & (np.arange(len(some)) % 2 == 0)  # two rows in each cell
+    assert np.isnan(found.parts(*(each[once] for each in rows[:3]))).all()

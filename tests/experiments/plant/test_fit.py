@@ -44,6 +44,26 @@ def test_without_scatter_it_is_the_plant():
     assert abs(fit.delay) < 1e-11
 
 
+@pytest.mark.parametrize("model", [RIGID, TWO])
+def test_the_unit_of_torque_changes_nothing(model):
+    unit, found = 64.0, measured(model, 3)
+    smaller = replace(found, each=found.each / unit, quantisation=found.quantisation / unit)
+    one, other = (
+        fit_plant(each, SAMPLE_TIME, NOMINAL * size) for each, size in ((found, 1), (smaller, unit))
+    )
+    assert other.model.rigid == one.model.rigid
+    for statistic, size in (
+        (lambda fit: fit.model.inertia, unit),
+        (lambda fit: fit.model.viscous, unit),
+        (lambda fit: fit.delay, 1.0),
+        (lambda fit: fit.misfit, 1.0),
+        (lambda fit: fit.model.antiresonance_hz, 1.0),
+    ):
+        assert statistic(other) / size == pytest.approx(statistic(one), rel=1e-4)
+        assert other.scatter(statistic) / size == pytest.approx(one.scatter(statistic), rel=1e-3)
+        assert other.doubt(statistic) / size == pytest.approx(one.doubt(statistic), rel=1e-3)
+
+
 def test_an_amplifiers_lag_is_distinguished_from_the_plant():
     """1/(1 + s tau): a delay of tau, and a gain of 1 - (w tau)^2/2."""
     fit = fitted(RIGID, 0, noise=1e-6)

@@ -1,11 +1,15 @@
 """`fft-ripple` on imported runs: synthetic ones with known ripple, and the public data set."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from rigtool.errors import RunFileError, UsageError
+from rigtool.experiments.ripple.imported import _notes, _pairs, _results, _unpaired
+from rigtool.experiments.ripple.imported_groups import RepeatedRuns
+from rigtool.experiments.ripple.orders import NO_ATTENUATION, remove_offset, spectrum
 from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
@@ -256,3 +260,96 @@ def test_orders_of_the_bench_are_the_same_as_an_import(tmp_path):
             here = found[f"order_{order}_amplitude"]
             assert abs(here.value - there[0]) < 2 * np.hypot(here.u, there[1])
             assert 0.3 < here.u / there[1] < 3
+
+
+def group(speed, setpoint=None, turns=3, leak=(), **conditions):
+    """Return a group of turns with orders 2 and 5, less of them with compensation."""
+    angle = 2 * np.pi * (np.arange(500) + 0.5) / 500
+    part = 1 - 0.8 * conditions.get("compensation", 0.0)
+    noise = 1e-3 * np.random.default_rng(turns).standard_normal((turns, 500))
+    wave = part * (0.5 * np.cos(2 * angle) + 0.2 * np.cos(5 * angle)) + noise
+    leaks = np.zeros(20)
+    leaks[list(leak)] = 0.9
+    own = RepeatedRuns(
+        conditions, speed, 1, 3.0 + wave, 0.1 * wave, 20, float(turns), NO_ATTENUATION,
+        np.arange(20.0) + 40, leaks, moved=not leak, setpoint=setpoint,
+    )  # fmt: skip
+    for name, rows in (("torque", own.torque), ("deviation", own.deviation)):
+        own.spectra[name] = spectrum(remove_offset(rows, NO_ATTENUATION), 20)
+    return own
+
+
+@pytest.mark.parametrize(
+    ("speeds", "asked", "paired", "noted"),
+    [
+        ((2.0, 2.19), None, True, False),
+        ((2.0, 2.21), None, False, True),
+        ((2.0, 2.59), None, False, True),
+        ((2.0, 2.61), None, False, False),
+        ((2.0, -2.0), None, False, False),
+        ((2.0, 2.59), (2.2, 2.201), True, False),
+        ((2.0, 2.05), (2.2, 2.21), False, True),
+    ],
+)
+def test_groups_of_one_speed_are_compared_and_others_that_may_be_are_noted(
+    speeds, asked, paired, noted
+):
+    first, second = asked or (None, None)
+    groups = [
+        group(speeds[0], first, compensation=0.0, load=1.0),
+        group(speeds[1], second, compensation=1.0, load=1.0),
+    ]
+    assert [(low is groups[0], name) for low, _, name in _pairs(groups)] == (
+        [(True, "compensation")] if paired else []
+    )
+    assert len(_unpaired(groups)) == noted
+    if noted:
+        assert f"they turn at {speeds[0]:.4g} and {speeds[1]:.4g} rad/s" in _unpaired(groups)[0]
+    apart = [groups[0], group(speeds[1], second, compensation=1.0, load=2.0)]
+    assert _pairs(apart) == []
+    assert _unpaired(apart) == []
+
+
+def test_results_are_of_the_pair_with_most_turns_and_other_conditions_off():
+    groups = [
+        group(2.0, compensation=0.0, load=1.0, turns=9),
+        group(2.0, compensation=1.0, load=1.0, turns=9),
+        group(2.0, compensation=0.0, load=0.0, turns=9),
+        group(2.0, compensation=1.0, load=0.0, turns=9),
+        group(2.0, compensation=0.0, load=3.0, turns=12),
+        group(2.0, compensation=1.0, load=3.0, turns=4),
+    ]
+    (low, high, name), *_ = pairs = _pairs(groups)
+    assert (groups.index(low), groups.index(high), name) == (2, 3, "compensation")
+    named = [name for *_, name in pairs]
+    assert named.index("load") == 2  # the mapping's first condition comes first
+    effort = SimpleNamespace(unit="A", name="current")
+    found = _results(groups, pairs, effort)
+    assert found["strongest_order"].value == 2
+    for order, amplitude in ((2, 0.5), (5, 0.2)):
+        own = found[f"order_{order}_amplitude"]
+        assert own.value == pytest.approx(amplitude, rel=0.01)
+        assert own.dof == 16
+        # of 1 mA in 500 cells and nine turns, in two parts
+        assert own.u == pytest.approx(1e-3 * np.sqrt(2 / 500 / 9), rel=0.5)
+        for what in ("motion", "current"):
+            assert found[f"order_{order}_{what}_reduction"].value == pytest.approx(0.8, abs=0.01)
+    assert _results(groups[4:5], [], effort)["order_2_amplitude"].dof == 22
+    assert _results([group(2.0, turns=1)], [], effort)["order_2_amplitude"].dof is None
+
+
+def test_notes_count_turns_and_name_what_is_not_separated():
+    groups = [group(2.0, turns=1), group(2.0, leak=range(1, 9), turns=3, compensation=1.0)]
+    turns = [SimpleNamespace(settled=0.25), SimpleNamespace(settled=0.0)]
+    notes = _notes(groups, _pairs(groups), turns, 20, "current")
+    assert notes[0] == "settling was left out at the start, up to 0.25 s of a run"
+    assert notes[1] == "the samples around the turn resolve orders up to 20"
+    assert notes[2].startswith("group 0 (2 rad/s; 1 run, 1 turn): strongest orders 2, 5")
+    assert notes[3].startswith("group 0 is one turn, so the repeatable part is unknown")
+    assert notes[4].startswith("group 1 (compensation 1, 2 rad/s; 1 run, 3 turns)")
+    assert (
+        "group 1: the speed was stated; refined by the orders of the torque it is 2 rad" in notes[5]
+    )
+    shown = ", ".join(f"{order} from {order + 39}" for order in range(2, 8))
+    assert f"not separated: {shown} and 2 more;" in notes[6]
+    assert notes[7] == "the results are of group 1"

@@ -143,6 +143,22 @@ def test_few_samples_a_turn_are_fitted_over_many_turns(samples):
         assert abs(fitted.amplitude[order - 1] - amplitude) < 4 * expected
 
 
+@pytest.mark.parametrize("start", [-57.6, 57.6])
+@pytest.mark.parametrize("way", [1, -1])
+def test_each_fit_holds_turns_of_its_own(start, way):
+    """A ripple that grows evenly over 40 turns, wherever the count of turns begins."""
+    turns, samples = 40, 137.3
+    passed = np.arange(int(turns * samples)) / samples
+    angle = start + way * passed
+    torque = (1 + passed / turns) * np.cos(2 * np.pi * 3 * angle)
+    found = find_turns(np.arange(len(angle)) / 1000, angle, torque, POSITIONS)
+    assert len(found.torque) * found.turns_a_row == pytest.approx(turns, abs=1, rel=0)
+    cells = (np.arange(POSITIONS) + 0.5) / POSITIONS
+    amplitude = 2 * np.mean(found.torque * np.cos(2 * np.pi * 3 * cells), axis=1)
+    middle = (np.arange(len(amplitude)) + 0.5) / len(amplitude)
+    np.testing.assert_allclose(amplitude, 1 + middle, rtol=2e-3)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -16,11 +16,12 @@ from rigtool.experiments.torque_constant.swings import (
 PARTS = 96
 
 
-def swinging(size: float):
-    """Return courses of one staircase whose arm overshoots each step by `size` of it."""
+def swinging(size: float, swings: float = 6.0):
+    """Return courses of one staircase whose arm overshoots each step by `size` of it, and would
+    swing so many times on a plateau."""
     torque = np.array([[0.0, 1.0, 2.0, 1.0, 0.0]])
     time = (np.arange(PARTS) + 0.5) / PARTS
-    swing = size * np.exp(-12 * time) * -np.cos(2 * np.pi * 6 * time)
+    swing = size * np.exp(-12 * time) * -np.cos(2 * np.pi * swings * time)
     step = np.diff(torque, axis=1, prepend=0.0)
     course = torque[:, :, None] + step[:, :, None] * swing
     return mean_courses(torque, torque, course, np.ones(torque.shape), np.zeros(1), noise=1e-6)
@@ -38,6 +39,13 @@ def test_the_path_leads_from_plateau_to_plateau_by_its_turns():
     course = courses.course[0, 1]
     assert_allclose(swings[0, 0, 1], course.max(), rtol=1e-9)
     assert_allclose(swings[0, 0, 1] + swings[1, 0, 1], course[course.argmax() :].min(), rtol=1e-9)
+
+
+def test_an_arm_that_turns_once_on_a_plateau_has_swung_half_a_period_since_the_step():
+    courses = swinging(0.8, swings=0.9)
+    damping = 12 / np.hypot(12, 1.8 * np.pi)
+    lag = 2 * damping / np.hypot(12, 1.8 * np.pi)
+    assert lag < longest_lag(courses) < 5 * lag
 
 
 def test_an_arm_that_does_not_swing_goes_straight():

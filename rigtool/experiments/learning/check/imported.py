@@ -259,12 +259,11 @@ def _compare(group: RepeatedRuns, torque: Array, learned: LearnedTable, orders: 
         noise = float(np.sum(shown.noise_floor**2))
         floor = np.maximum(shown.noise_floor, floor)
     shown = replace(shown, noise_floor=floor)
-    clear = shown.clear | (np.abs(mapped) > 0)
     return _Compared(
         shown,
         mapped,
         Spectrum(shown.order, np.abs(left), np.angle(left), floor),
-        match_maps(mapped * clear, there * clear),
+        match_maps(mapped, there),
         remaining.mean(axis=0) + expected - means.mean(),
         float(means.mean()) - learned.table.torque[_row(learned, group.speed)].mean(),
         float(means.std(ddof=1)) / math.sqrt(means.size) if means.size > 1 else None,

@@ -2,6 +2,7 @@
 
 import importlib.util
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -193,8 +194,20 @@ def test_where_nothing_repeats_the_table_is_zero_and_says_so(folder, kt, frictio
     assert (rms < 0.05e-3).all()
     zero = ~outcome.tables["lookup"]["torque"].any(axis=1)
     assert zero.any()
-    assert any("the table is zero there" in note for note in outcome.notes)
+    at = ", ".join(f"{speed / REV:.3g}" for speed in outcome.tables["lookup"]["speed"][zero])
+    assert f"nothing exceeds the noise at {at} rev/s: the table is zero there" in outcome.notes
     assert not outcome.tables["validation"]["worse"].any()
+
+
+def test_the_note_lists_each_speed_without_amplitude():
+    amplitude = np.array([0.0, 0.7, 1.0, 0.0])
+    tuning = SimpleNamespace(speed=REV * np.array([-2.0, -1.0, 1.0, 4.0]), amplitude=amplitude)
+    taught = SimpleNamespace(row=SimpleNamespace(speed=REV), tuning=tuning)
+    where, zero = one_speed.OneSpeed.learned_notes(None, taught)
+    assert where.startswith("learned at 6.283 rad/s, tuned from -12.57 to 25.13 rad/s")
+    assert "at -2, 4 rev/s" in zero
+    tuning.amplitude = np.ones(4)
+    assert one_speed.OneSpeed.learned_notes(None, taught) == [where]
 
 
 def test_several_runs_stop_by_themselves(folder, kt):

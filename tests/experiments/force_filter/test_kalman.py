@@ -1,0 +1,166 @@
+"""One step of the filter beside matrices, differences and a truncated normal of scipy."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import truncnorm
+
+from rigtool.experiments.force_filter import kalman, passed
+from rigtool.experiments.force_filter.plant import (
+    ANGLE,
+    BRISTLE,
+    COSINE,
+    GRASPER,
+    GRASPER_SPEED,
+    HOUSING,
+    LOAD,
+    NOISE,
+    SINE,
+    SPEED,
+    STATES,
+    TIP,
+    TORQUE,
+    advance,
+    as_record,
+)
+from tests.experiments.force_filter.plants import PLANT, UNCERTAINTY
+
+SAMPLES, JOINT = 8, passed.JOINT_STATES
+SPAN = SAMPLES * PLANT.sample_time
+LOW_PASS = passed.section(10.0, SPAN)
+DRIVE = np.linspace(10e-3, 12e-3, SAMPLES)[None]
+DRAG = np.full((1, SAMPLES), 5e-5)
+U = replace(UNCERTAINTY, undecided=1e-9)
+SIZES = np.ones(JOINT)
+SIZES[[ANGLE, SPEED, BRISTLE, HOUSING]] = 1e-3, 0.05, 0.05, 0.03
+SIZES[[GRASPER, GRASPER_SPEED, TIP]] = 1e-3, 0.05, 0.04
+SIZES[[SINE, COSINE, LOAD, NOISE, TORQUE]] = 3e-4, 2e-4, 0.02, 1e-4, 3e-3
+SIZES[STATES:] = 2e-3
+
+
+def moved(joint):
+    """Return states and q (14,) after a step, by the plant's equations."""
+    x, q = joint[:STATES].copy(), joint[STATES:]
+    after = LOW_PASS[:2, :2] @ q + LOW_PASS[:2, 2] * x[TORQUE]
+    for torque, drag in zip(DRIVE[0], DRAG[0], strict=True):
+        advance(x, as_record(PLANT)[0], PLANT.friction_map, torque, drag, None, 0, 0.0, 0.0)
+    x[NOISE] *= np.exp(-SPAN / U.friction_noise_time)
+    return np.concatenate([x, after])
+
+
+def started(seed):
+    """Return mean (14,) and covariance (14, 14) of a rotor that slides."""
+    rng = np.random.default_rng(seed)
+    mean = SIZES * rng.normal(0, 0.3, JOINT)
+    mean[[ANGLE, SPEED, BRISTLE, HOUSING]] = 1.234, 0.4, 0.7, 0.8
+    mean[[GRASPER, GRASPER_SPEED, TIP]] = 1.234 / PLANT.angle_ratio - 0.05, 0.5, 0.6
+    mean[TORQUE] = 0.02
+    root = rng.normal(size=(JOINT, JOINT)) / np.sqrt(JOINT) * SIZES[:, None]
+    return mean, root @ root.T
+
+
+def step(mean, covariance, width, low, least=0.0, uncertainty=U):
+    """Return mean, covariance, and outputs of the filter after one step."""
+    state = kalman.begin(PLANT, uncertainty, low, width, LOW_PASS)
+    state["mean"][0], state["passed"][0] = mean[:STATES], mean[STATES:]
+    state["covariance"][0, :, :JOINT] = covariance
+    means, outputs = np.empty((1, STATES)), np.empty((1, kalman.OUTPUTS))
+    kalman.run(
+        state,
+        as_record(PLANT),
+        as_record(uncertainty),
+        PLANT.friction_map,
+        DRIVE,
+        DRAG,
+        np.array([low]),
+        width,
+        np.zeros(1, dtype=bool),
+        LOW_PASS,
+        np.array([least]),
+        means,
+        outputs,
+        None,
+    )
+    found = np.concatenate([state["mean"][0], state["passed"][0]])
+    return found, state["covariance"][0, :, :JOINT], outputs[0]
+
+
+def predicted(mean, covariance, walk):
+    """Return f(x) and Phi P Phi' + Q."""
+    steps = 1e-4 * SIZES
+    columns = [(moved(mean + own) - moved(mean - own)) / (2 * own.max()) for own in np.diag(steps)]
+    slope = np.stack(columns, axis=1)
+    kept = np.exp(-SPAN / U.friction_noise_time)
+    noise = np.zeros(JOINT)
+    for states, rate in (
+        ([ANGLE], U.angle_rate),
+        ([SPEED, GRASPER_SPEED], U.speed_rate),
+        ([GRASPER], U.grasper_rate),
+        ([BRISTLE], U.bristle_rate),
+        ([HOUSING, TIP], U.slip_rate),
+        ([TORQUE], walk),
+    ):
+        noise[states] = rate**2 * SPAN
+    noise[NOISE] = U.friction_noise**2 * (1 - kept**2)
+    return moved(mean), slope @ covariance @ slope.T + np.diag(noise)
+
+
+def assert_covariance(found, expected, part):
+    """Compare covariances, each number relative to both standard deviations."""
+    sizes = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(found / sizes, expected / sizes, rtol=0, atol=part)
+
+
+RATES = {0.0: U.torque_rate, 1.0: U.slow_torque_rate, 2.0: U.step_torque_rate}
+
+
+@pytest.mark.parametrize("least", RATES)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_step_without_a_count_is_that_of_the_equations(seed, least):
+    mean, covariance = started(seed)
+    found, spread, outputs = step(mean, covariance, 1e6, -5e5, least)
+    expected, whole = predicted(mean, covariance, RATES[least])
+    np.testing.assert_allclose(found / SIZES, expected / SIZES, rtol=0, atol=1e-6)
+    assert_covariance(spread, whole, 2e-4)
+    # random walks are small beside what was there: they show by themselves
+    quiet = step(mean, 1e-12 * covariance, 1e6, -5e5, least)[1]
+    noise = predicted(mean, 0 * covariance, RATES[least])[1]
+    np.testing.assert_allclose(np.diag(quiet), np.diag(noise), rtol=1e-2, atol=1e-12)
+    row = LOW_PASS[2, :2] @ np.eye(JOINT)[STATES:]
+    row[TORQUE] = LOW_PASS[2, 2]
+    assert outputs[0] == pytest.approx(row @ expected, rel=1e-6)
+    assert outputs[1] == pytest.approx(np.sqrt(row @ whole @ row), rel=1e-4)
+
+
+@pytest.mark.parametrize("side", [-0.7, 0.1, 1.2])
+def test_a_count_truncates_the_angle_and_moves_the_rest_with_it(side):
+    mean, covariance = started(3)
+    before, whole = predicted(mean, covariance, U.torque_rate)
+    width = 1.5 * np.sqrt(whole[ANGLE, ANGLE])
+    low = before[ANGLE] + side * width - width / 2
+    found, spread, outputs = step(mean, covariance, width, low)
+    deviation = np.sqrt(whole[ANGLE, ANGLE] + (U.edge * width) ** 2)
+    ends = (np.array([low, low + width]) - before[ANGLE]) / deviation
+    inside = truncnorm(*ends, loc=0, scale=deviation)
+    gain = whole[ANGLE] / deviation**2
+    expected = before + gain * inside.mean()
+    size = np.sqrt(np.diag(whole))
+    np.testing.assert_allclose(found / size, expected / size, rtol=0, atol=1e-3)
+    less = whole - np.outer(gain, gain) * (deviation**2 - inside.var())
+    assert_covariance(spread, less, 1e-3)
+    share = 1 - inside.var() / deviation**2
+    np.testing.assert_allclose(
+        outputs[kalman.FIRST_GAIN :], share * gain[list(kalman.FOLLOWED)], rtol=5e-3, atol=1e-6
+    )
+
+
+def test_a_stroke_begins_where_the_long_bristle_has_turned():
+    mean, covariance = started(4)
+    mean[[SPEED, HOUSING]] = -0.4, -0.6  # the filter begins in the direction of motion
+    found, spread, _ = step(mean, covariance, 1e6, -5e5)
+    for state, size in ((SINE, U.stroke), (COSINE, U.stroke), (LOAD, U.load_stroke)):
+        assert found[state] == 0
+        only = np.eye(JOINT)[state] * size**2
+        np.testing.assert_allclose(spread[state], only, rtol=1e-9)
+        np.testing.assert_allclose(spread[:, state], only, rtol=1e-9)

@@ -1,0 +1,94 @@
+"""Tables of torque over time: contacts in time and size, errors against a reference."""
+
+import math
+
+import numpy as np
+import pytest
+
+from rigtool.experiments.force_filter.motion_states import State
+from rigtool.experiments.force_model.contacts import JUMP_WINDOW, Contact
+from rigtool.experiments.force_sensor.results_over_time import (
+    TorqueRows,
+    _events,
+    over_time_tables,
+)
+
+STEP, EVERY, ROWS = 5e-3, 5, 400
+
+
+def rows(name, began, contacts=(), reference=False, outside=slice(0)):
+    """Return rows whose torque rises evenly, 5 mN m in all, with u that falls."""
+    states = np.full(ROWS, State.AGAINST, dtype=np.int32)
+    states[outside] = State.OUTSIDE
+    states[-40:] = State.STILL
+    torque = np.linspace(0, 5e-3, ROWS)
+    u = np.linspace(0.4e-3, 0.2e-3, ROWS)
+    off = 0.3e-3 * np.sin(np.arange(ROWS))
+    return TorqueRows(
+        name, STEP, began + STEP * np.arange(ROWS), torque, u, states,
+        reference=torque + off if reference else None, contacts=contacts, every=EVERY,
+    )  # fmt: skip
+
+
+def test_contacts_are_in_the_time_of_the_bench_with_their_torque():
+    contacts = (Contact(503, 520, 748), Contact(1000, 1010, 1100))
+    given = [rows("a", 10.0, contacts[:1]), rows("b", 50.0, contacts[1:], outside=slice(205, 210))]
+    table = _events(list(enumerate(given)))["events"]
+    assert table["recording"].tolist() == [0, 1]
+    fine = STEP / EVERY
+    for row, (own, contact) in enumerate(zip(given, contacts, strict=True)):
+        for name, step in (
+            ("start", contact.begin),
+            ("found", contact.found),
+            ("end", contact.end),
+        ):
+            assert table[name][row] == pytest.approx(own.time[0] + fine * step, abs=1e-9)
+        inside = (own.time >= own.time[0] + fine * (contact.begin - EVERY + 1) - 1e-9) & (
+            own.time <= own.time[0] + fine * contact.end + 1e-9
+        )
+        inside &= own.states != State.OUTSIDE
+        assert table["mean"][row] == pytest.approx(own.torque[inside].mean(), rel=1e-9)
+        assert table["mean_u"][row] == pytest.approx(own.u[inside].mean(), rel=1e-9)
+        # the interval farthest from zero: torque rises and u falls
+        assert table["peak"][row] == own.torque[inside].max()
+        assert table["peak_u"][row] == own.u[inside].min()
+    np.testing.assert_allclose(table["start_u"], JUMP_WINDOW / math.sqrt(12), rtol=1e-12)
+    hidden = rows("c", 0.0, contacts[:1], outside=slice(90, 160))
+    assert _events([(0, hidden)]) == {}
+
+
+def test_errors_are_those_against_the_reference_by_state():
+    own = rows("a", 0.0, reference=True, outside=slice(0, 100))
+    results, tables = over_time_tables([own], 5e-3, 30.0)
+    error = own.torque - own.reference
+    known = own.states != State.OUTSIDE
+    moving = known & (own.states != State.STILL)
+    for name, among in (("rmse", known), ("rmse_moving", moving)):
+        assert results[name].value == pytest.approx(np.sqrt(np.mean(error[among] ** 2)))
+    covered = np.abs(error) <= 1.96 * own.u
+    assert results["coverage_95"].value == pytest.approx(covered[known].mean(), abs=0.005)
+    table = next(t for t in tables.values() if t.axes == ("band", "state"))
+    lower = table["band"]
+    upper = np.append(lower[1:], np.inf)
+    for b in range(len(lower)):
+        for s, state in enumerate(table["state"]):
+            among = known & (own.states == state)
+            size = np.abs(own.reference)
+            among &= (size >= lower[b]) & (size < upper[b])
+            if among.any():
+                assert table["rmse"][b, s] == pytest.approx(np.sqrt(np.mean(error[among] ** 2)))
+                assert table["bias"][b, s] == pytest.approx(error[among].mean())
+                assert table["coverage_95"][b, s] == pytest.approx(covered[among].mean(), abs=0.05)
+                assert table["share"][b, s] == pytest.approx(among.sum() / known.sum())
+
+
+def test_the_table_has_the_interval_of_each_row():
+    own = rows("a", 3.0, outside=slice(7, 9))
+    table = over_time_tables([own], 5e-3, 30.0)[1]["force"]
+    np.testing.assert_allclose(table["time"], own.time)
+    valid = own.states != State.OUTSIDE
+    np.testing.assert_allclose(table["torque"][valid], own.torque[valid])
+    assert np.isnan(table["torque"][~valid]).all()
+    half = (table["high"] - table["low"])[valid] / 2
+    np.testing.assert_allclose(half, 1.96 * own.u[valid], rtol=1e-3)
+    np.testing.assert_allclose((table["high"] + table["low"])[valid] / 2, own.torque[valid])

@@ -1,0 +1,133 @@
+"""Stored orders with their u and dof, beside the law of propagation line by line."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rigtool.control.position_loop import position_loop
+from rigtool.experiments.ripple.orders import HIGHEST_ORDER, Ripple, spectrum
+from rigtool.experiments.ripple.results import (
+    INERTIA_U,
+    LOWEST_FOLLOWED,
+    comparison_results,
+    condition_tables,
+    loop_note,
+    revolutions_table,
+    ripple_results,
+)
+from rigtool.quantity import Quantity, combined, error_line
+from rigtool.recipe import load_recipe
+from tests.experiments.virtual_runs import RECIPE
+
+POSITIONS = 500
+ANGLE = 2 * np.pi * (np.arange(POSITIONS) + 0.5) / POSITIONS
+
+
+def ripple(amplitudes, turns, noise=1e-4, seed=1):
+    rng = np.random.default_rng(seed)
+    wave = sum(a * np.cos(k * ANGLE + 0.3 * k) for k, a in amplitudes.items())
+    return Ripple(wave + noise * rng.standard_normal((turns, POSITIONS)))
+
+
+@pytest.fixture(scope="module")
+def stored():
+    recipe, _ = load_recipe(RECIPE, ())
+    made = [ripple({2: 2e-3, 7: 0.5e-3}, 6), ripple({2: 1e-3, 7: 0.5e-3}, 11, seed=2)]
+    speeds = [2 * math.pi * n for n in (0.5, 6.0)]
+    recordings = [
+        SimpleNamespace(name=str(n), condition=lambda name, v=v: v) for n, v in enumerate(speeds)
+    ]
+    constants = {
+        "0": Quantity(0.05, "N m/A", 1e-3, 4.0),
+        "1": Quantity(0.045, "N m/A", 2e-4, reason=None),
+    }
+    tables = condition_tables("speed", "speed", "rad/s", recordings, made, constants, recipe)
+    loop = position_loop(**recipe.rig.loop_design).complementary_sensitivity
+    return made, speeds, constants, loop, tables
+
+
+def test_orders_are_those_of_the_motor_with_a_budget_each(stored):
+    made, speeds, constants, loop, tables = stored
+    table = tables["speed_spectrum"]
+    assert table["speed"].tolist() == speeds
+    for row, (own, speed) in enumerate(zip(made, speeds, strict=True)):
+        asked = spectrum(own, HIGHEST_ORDER)
+        response = loop.response(asked.order * speed / (2 * math.pi))
+        np.testing.assert_allclose(table["loop_gain"][row], np.abs(response), rtol=1e-9)
+        seen = np.abs(response) >= LOWEST_FOLLOWED
+        np.testing.assert_array_equal(np.isfinite(table["amplitude"][row]), seen)
+        constant = constants[str(row)]
+        for k in (1, 2, 7):
+            amplitude = asked.amplitude[k - 1] / abs(response[k - 1])
+            assert table["amplitude"][row][k - 1] == pytest.approx(amplitude, rel=1e-9)
+            turned = asked.phase[k - 1] - np.angle(response[k - 1])
+            assert math.remainder(table["phase"][row][k - 1] - turned, 2 * math.pi) == (
+                pytest.approx(0, abs=1e-9)
+            )
+            # both parts of the amplitude scatter, of as many turns but one
+            parts = [
+                error_line(
+                    "scatter",
+                    asked.u[k - 1] / abs(response[k - 1]),
+                    "N m",
+                    2 * (len(own.waveforms) - 1),
+                ),
+                error_line("T", amplitude * abs(1 - response[k - 1]) * INERTIA_U, "N m"),
+                error_line(
+                    "constant", amplitude * constant.u / constant.value, "N m", constant.dof
+                ),
+            ]
+            expected = combined(amplitude, "N m", parts)
+            assert table["u"][row][k - 1] == pytest.approx(expected.u, rel=1e-9)
+            assert table["dof"][row][k - 1] == pytest.approx(expected.dof, rel=1e-9)
+
+
+def test_waveforms_are_means_over_the_turns(stored):
+    made, _, _, _, tables = stored
+    means = [np.mean(own.waveforms, axis=0) for own in made]
+    np.testing.assert_allclose(tables["speed_waveforms"]["torque"], means, atol=1e-15)
+    single = revolutions_table(ripple({2: 1e-3}, 103))
+    assert single["torque"].shape == (100, POSITIONS)
+
+
+def test_the_strongest_orders_and_the_distance_to_the_next():
+    found = ripple_results([ripple({2: 2e-3, 7: 0.5e-3}, 6), ripple({3: 1e-3, 5: 0.8e-3}, 6)])
+    lowest, highest = (found[f"strongest_order_{name}_speed"] for name in ("lowest", "highest"))
+    assert (lowest.value, highest.value) == (2, 3)
+    assert "25%" in lowest.reason
+    assert "80%" in highest.reason
+    assert found["repeatable_rms"].value == pytest.approx(
+        math.sqrt((2e-3**2 + 0.5e-3**2) / 2), rel=0.01
+    )
+    assert found["non_repeatable_rms"].value == pytest.approx(1e-4, rel=0.05)
+
+
+def test_the_power_up_that_changed_most_is_stated():
+    names = ("correlation", "correlation_u", "shift", "shift_u", "dof")
+    made = [
+        SimpleNamespace(**dict(zip(names, own, strict=True)))
+        for own in ((0.9, 0.01, 0.2, 0.02, 3.0), (0.4, 0.05, -0.6, 0.03, 5.0))
+    ]
+    found = comparison_results(made)
+    assert (found["power_cycle_correlation"].value, found["power_cycle_correlation"].u) == (
+        0.4,
+        0.05,
+    )
+    assert (found["power_cycle_shift"].value, found["power_cycle_shift"].u) == (-0.6, 0.03)
+    assert found["power_cycle_shift"].dof == 5
+    assert comparison_results([]) == {}
+
+
+@pytest.mark.parametrize("fastest", [0.01, 2.0, 7.0])
+def test_the_note_names_the_last_order_that_the_loop_follows(fastest):
+    recipe, _ = load_recipe(RECIPE, ())
+    loop = position_loop(**recipe.rig.loop_design).complementary_sensitivity
+    order = 1
+    while (
+        order <= HIGHEST_ORDER
+        and abs(loop.response(np.array([order * fastest]))[0]) >= LOWEST_FOLLOWED
+    ):
+        order += 1
+    assert loop_note(recipe, fastest).endswith(f"above order {order - 1}")

@@ -1,0 +1,254 @@
+"""Lines, levels and branches of staircases beside polyfit and scipy; what is refused of them."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.torque_constant.staircase_levels import (
+    DEFLECTION_U,
+    branches,
+    by_level,
+    deflection,
+    hysteresis,
+    levels,
+    lines_through,
+    straight_slope,
+)
+from rigtool.experiments.torque_constant.staircase_refusals import (
+    require_dithered,
+    require_resolution,
+    require_straight,
+)
+
+UP = np.linspace(0.0, 4.0, 17)
+COURSE = np.concatenate([UP, UP[-2::-1]])
+CONSTANT = 0.05
+
+
+def staircases(friction=2e-3, count=5, seed=1, noise=5e-5, top=4.0, **more):
+    """Return staircases up to a current; the last has ended one plateau before the others."""
+    rng = np.random.default_rng(seed)
+    setpoint = np.tile(COURSE * top / 4, (count, 1))
+    weight = np.ones_like(setpoint)
+    weight[-1, -1] = 0.0
+    current = setpoint + 1e-3 * rng.standard_normal(setpoint.shape)
+    way = np.where(np.arange(33) <= 16, -1.0, 1.0) * (np.arange(33) != 0)
+    torque = CONSTANT * current + friction * way + noise * rng.standard_normal(setpoint.shape)
+    made = {
+        "setpoint": setpoint,
+        "current": current,
+        "torque": torque,
+        "weight": weight,
+        "position": np.full(setpoint.shape, np.nan),
+        "count": 0.0,
+        "temperature": np.full(setpoint.shape, 22.0),
+        "rotor_angle": np.arange(count) * 0.5,
+        "resolution": 0.0,
+        "noise": noise,
+    }
+    return SimpleNamespace(**(made | more))
+
+
+def test_lines_are_those_of_polyfit():
+    stairs = staircases()
+    values = stairs.torque + 0.3
+    expected = [
+        np.polyfit(current, own, 1, w=weight)[0]
+        for current, own, weight in zip(stairs.current, values, stairs.weight, strict=True)
+    ]
+    np.testing.assert_allclose(lines_through(stairs, values), expected, rtol=1e-9)
+    used = stairs.weight > 0
+    line = stats.linregress(stairs.current[used], stairs.torque[used])
+    assert straight_slope(stairs) == pytest.approx(line.slope, rel=1e-12)
+
+
+def test_the_arm_gives_way_by_the_line_of_positions():
+    stairs = staircases(count=200)
+    off = 1e-4 * np.random.default_rng(2).standard_normal(stairs.current.shape)
+    stairs.position = 1.0 + np.arange(200)[:, None] + 0.01 * stairs.current + off
+    stairs.count = 4e-4
+    angle, u = deflection(stairs)
+    assert angle == pytest.approx(0.04, rel=1e-2)
+    # what positions lie off a line, and an edge of the encoder anywhere in a count, at both ends
+    assert u == pytest.approx(np.hypot(1e-4, np.sqrt(2) * 4e-4 / np.sqrt(12)), rel=0.02)
+    stairs.position[3, 4] = np.nan
+    assert deflection(stairs) == (0.0, DEFLECTION_U)
+
+
+def test_levels_hold_plateaus_of_one_set_point():
+    stairs = staircases()
+    current, level = levels(stairs)
+    np.testing.assert_allclose(current, UP, atol=1.001e-3 * 4)
+    np.testing.assert_array_equal(level, np.tile(np.abs(np.r_[:17, 15:-1:-1]), (5, 1)))
+    mean, count = by_level(level, stairs.torque, stairs.weight)
+    for number in range(17):
+        own = (level == number) & (stairs.weight > 0)
+        assert count[number] == own.sum()
+        assert mean[number] == pytest.approx(stairs.torque[own].mean(), rel=1e-9)
+    assert np.isnan(by_level(level, stairs.torque, stairs.weight * (level != 3))[0][3])
+
+
+def test_branches_meet_where_the_current_turns():
+    stairs = staircases(noise=0.0)
+    off = stairs.torque - CONSTANT * stairs.current
+    current, rising, falling = branches(stairs, off)
+    np.testing.assert_allclose(current, UP, atol=1.001e-3 * 4)
+    np.testing.assert_allclose(rising[1:], -2e-3, rtol=1e-6)
+    np.testing.assert_allclose(falling[:-1], 2e-3, rtol=1e-6)
+    assert falling[-1] == rising[-1]
+    assert rising[0] == falling[0]
+
+
+def test_hysteresis_is_that_of_the_middle_third_with_the_scatter_of_staircases():
+    stairs = staircases()
+    rng = np.random.default_rng(3)
+    friction = 2e-3 + 0.3e-3 * rng.standard_normal(5)
+    way = np.where(np.arange(33) <= 16, -1.0, 1.0)
+    off = friction[:, None] * way
+    middle = np.abs(stairs.setpoint - 2.0) < 4.0 / 6 + 0.01
+    off[~middle] = 1.0  # outside of it nothing counts
+    found, u, dof = hysteresis(stairs, off)
+    assert found == pytest.approx(2 * friction.mean(), rel=1e-9)
+    assert u == pytest.approx(stats.sem(2 * friction), rel=1e-9)
+    assert dof == 4
+    stairs.weight[1:] = 0
+    found, u, dof = hysteresis(stairs, off)
+    assert found == pytest.approx(2 * friction[0], rel=1e-9)
+    assert np.isnan(u)
+    assert dof == 0
+    stairs.weight[:] = ~middle
+    with pytest.raises(InsufficientDataError, match="no plateau lies in the middle third"):
+        hysteresis(stairs, off)
+
+
+def plateaus(span, step):
+    return SimpleNamespace(torque=np.array([0.1, 0.1 + span]), resolution=np.array([0.0, step]))
+
+
+@pytest.mark.parametrize(
+    ("span", "step", "message"),
+    [(0.2, 0.0199, None), (0.2, 0.0201, "fewer than 10 steps"), (0.0, 0.01, "reads 100 mN m")],
+)
+def test_a_gauge_of_few_steps_is_refused(span, step, message):
+    if message is None:
+        require_resolution(plateaus(span, step))
+    else:
+        with pytest.raises(InsufficientDataError, match=message):
+            require_resolution(plateaus(span, step))
+
+
+@pytest.mark.parametrize(
+    ("part", "noise", "refused"),
+    [
+        (1.0, 0.0, False),
+        (0.27, 0.0, False),
+        (0.23, 0.0, True),
+        (0.23, 0.09, True),
+        (0, 0.11, False),
+    ],
+)
+def test_readings_that_follow_the_steps_of_a_gauge_are_refused(part, noise, refused):
+    """Rounding leaves what lies evenly within a step."""
+    step = 1e-3
+    stairs = staircases(resolution=step, noise=noise * step)
+    left = part * step * np.random.default_rng(4).uniform(-0.5, 0.5, stairs.torque.shape)
+    left[-1, -1] = 1.0  # without weight
+    if refused:
+        with pytest.raises(InsufficientDataError, match="steps off a line, where rounding"):
+            require_dithered(stairs, left)
+    else:
+        require_dithered(stairs, left)
+
+
+def judged(stairs, slope=CONSTANT, bend=None, slope_u=1e-4):
+    """Judge staircases whose fit found this slope and left what they are off it."""
+    count = len(stairs.torque)
+    off = stairs.torque - CONSTANT * stairs.current
+    left = np.zeros_like(off) if bend is None else bend
+    require_straight(stairs, np.full(count, slope), np.full(count, slope_u), left, off)
+
+
+def test_a_straight_staircase_passes():
+    judged(staircases())
+
+
+@pytest.mark.parametrize(("part", "refused"), [(0.98, False), (1.02, True)])
+def test_a_level_off_the_line_is_refused(part, refused):
+    """By a two-hundredth of the span, or a step of the gauge where that is more."""
+    for resolution in (0.0, 4e-3):
+        stairs = staircases(resolution=resolution)
+        limit = max(5e-3 * np.ptp(stairs.torque), resolution)
+        bend = np.where(np.isclose(stairs.setpoint, 3.0), -part * limit, 0.0)
+        if refused:
+            with pytest.raises(InsufficientDataError, match=r"torque at 3 A is -.* off the line"):
+                judged(stairs, bend=bend)
+        else:
+            judged(stairs, bend=bend)
+
+
+def test_a_level_that_scatters_is_not_off():
+    stairs = staircases()
+    scatter = np.random.default_rng(6).choice([-1.0, 1.0], stairs.torque.shape)
+    bend = np.where(np.isclose(stairs.setpoint, 3.0), 1.1e-3 + 4e-3 * scatter, 0.0)
+    judged(stairs, bend=bend)
+
+
+@pytest.mark.parametrize(
+    ("change", "refused"), [(1.24, False), (1.26, True), (0.76, False), (0.74, True)]
+)
+def test_friction_may_change_a_slope_by_a_quarter(change, refused):
+    stairs = staircases(friction=1e-6)
+    slope = change * straight_slope(stairs)
+    if refused:
+        with pytest.raises(InsufficientDataError, match="once friction and heat are taken out"):
+            judged(stairs, slope)
+    else:
+        judged(stairs, slope)
+
+
+@pytest.mark.parametrize(
+    ("friction", "resolution", "message"),
+    [
+        (0.026, 0.0, "friction of the shaft shows 26 mN m"),
+        (1e-3, 0.0, "torque is not linear in current"),
+        (1e-3, 6e-3, "too coarse to separate friction"),
+    ],
+)
+def test_a_slope_that_changes_by_more_is_explained(friction, resolution, message):
+    stairs = staircases(friction=friction, resolution=resolution)
+    with pytest.raises(InsufficientDataError, match=message):
+        judged(stairs, 2 * CONSTANT)
+
+
+def test_a_sign_is_to_be_reversed():
+    stairs = staircases()
+    stairs.torque *= -1
+    with pytest.raises(InsufficientDataError, match="reverse the sign"):
+        judged(stairs)
+
+
+@pytest.mark.parametrize(("change", "refused"), [(0.24, False), (0.27, True), (-0.27, True)])
+def test_a_staircase_with_a_slope_of_its_own_is_named(change, refused):
+    stairs = staircases(slope_u=0.0)
+    stairs.torque[3] *= 1 + change
+    if refused:
+        with pytest.raises(InsufficientDataError, match=r"staircase 3 .* at 1\.5 rad"):
+            judged(stairs)
+        judged(stairs, slope_u=1e-3)  # with an uncertainty that allows it
+    else:
+        judged(stairs)
+
+
+@pytest.mark.parametrize(("rise", "refused"), [(0.6, False), (0.4, True)])
+def test_torque_that_stops_rising_at_the_top_is_refused(rise, refused):
+    stairs = staircases()
+    beyond = np.maximum(stairs.current - 3.0, 0)
+    stairs.torque -= CONSTANT * (1 - rise) * beyond
+    if refused:
+        with pytest.raises(InsufficientDataError, match=r"from 3 A on by 0\.0"):
+            judged(stairs)
+    else:
+        judged(stairs)
