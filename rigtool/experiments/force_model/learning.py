@@ -24,7 +24,7 @@ from rigtool.experiments.force_model.model import (
     Term,
     terms_for,
 )
-from rigtool.experiments.force_model.records import SLIDING_COUNT_RATE, Record
+from rigtool.experiments.force_model.records import SLIDING_COUNT_RATE, Record, bristle_scale
 from rigtool.experiments.force_model.sliding_problem import (
     SLIDING_PARAMETERS,
     Problem,
@@ -144,7 +144,8 @@ def learn_sliding(
     records = [record for record in records if record.used.any()]
     sizes = sizes_of(records)
     terms = terms_for(sizes, known)
-    tried = [_start(sizes, known, count, stretch) for stretch in TENDON_STRETCHES.tolist()]
+    bristle = bristle_scale(max(float(np.ptp(record.angle)) for record in records), count)
+    tried = [_start(sizes, known, count, bristle, stretch) for stretch in TENDON_STRETCHES.tolist()]
     showing = _showing_tendon(records)
     scan = Problem(showing, terms, known, tried[0], deviation, sizes.friction)
     shape = min(tried, key=lambda shape: scan.cost(shape)[1])
@@ -225,16 +226,17 @@ def sizes_of(records: Sequence[Record]) -> Sizes:
     )
 
 
-def _start(sizes: Sizes, known: Known, count: float, stretch: float) -> Shape:
+def _start(sizes: Sizes, known: Known, count: float, bristle: float, stretch: float) -> Shape:
     """Return the shape at which the search begins, from the sizes of the rig.
 
-    `stretch` rad is that of the tendon under the largest load.
+    `bristle` rad is the length of the short bristle, `stretch` rad that of the tendon under the
+    largest load.
     """
     load = sizes.load or sizes.friction * known.torque_factor
     stiffness = load / stretch
     return Shape(
-        bearing_length=count,
-        housing_length=6 * count,
+        bearing_length=bristle,
+        housing_length=6 * bristle,
         tip_length=6 * count,
         stribeck_speed=2 * SLIDING_COUNT_RATE * count,
         ripple_time=0.03,

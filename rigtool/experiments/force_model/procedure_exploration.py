@@ -1,8 +1,9 @@
 """A short motion that shows what strokes do not: pre-sliding, rest, reversals anywhere.
 
 Small triangles about the middle of the range, from a few counts of the encoder to a part of the
-stroke, keep friction within its bristles. A hold shows it at rest. The remainder is free motion
-with speeds, ways and pauses drawn from a fixed seed, so that each recording repeats it.
+stroke, whatever the count, keep friction within its bristles. A hold shows it at rest. The
+remainder is free motion with speeds, ways and pauses drawn from a fixed seed, so that each
+recording repeats it.
 """
 
 from __future__ import annotations
@@ -11,10 +12,12 @@ import math
 
 import numpy as np
 
+from rigtool.experiments.force_model.records import bristle_scale, halved
 from rigtool.rigs.motion import SpeedProfile
 
-TRIANGLE_COUNTS = (3, 6, 12, 25, 50, 100)
-"""Counts of the encoder from end to end, in turn."""
+TRIANGLE_LENGTHS = (3, 6, 12, 25, 50, 100)
+"""Lengths of a short bristle from end to end, in turn: counts of a coarse encoder. A finer one also
+shows halves of the smallest, down to as many counts."""
 
 TRIANGLE_STROKES = 6
 """Strokes of each triangle."""
@@ -47,18 +50,18 @@ def exploration(
     `count` rad is that of the encoder; free motion lasts for about `time` s. Each `number` has a
     free motion of its own.
     """
-    path = _Path(low)
+    path, scale = _Path(low), bristle_scale(high - low, count)
     path.go((low + high) / 2, fastest / 4)
-    for counts in TRIANGLE_COUNTS:
+    for lengths in (*halved(TRIANGLE_LENGTHS[0], scale / count)[::-1], *TRIANGLE_LENGTHS):
         for leg in range(TRIANGLE_STROKES):
-            length = counts * count * (0.5 if leg in (0, TRIANGLE_STROKES - 1) else 1.0)
-            path.go(path.angle + (-1) ** leg * length, counts * count / LEG_TIME)
+            length = lengths * scale * (0.5 if leg in (0, TRIANGLE_STROKES - 1) else 1.0)
+            path.go(path.angle + (-1) ** leg * length, lengths * scale / LEG_TIME)
     path.hold(HOLD_TIME)
     rng = np.random.default_rng([MOTION_SEED, number])
     begun = path.times[-1]
     while path.times[-1] < begun + time:
         speed = math.exp(rng.uniform(math.log(FREE_SPEED), math.log(fastest)))
-        way = math.exp(rng.uniform(math.log(count), math.log(high - low)))
+        way = math.exp(rng.uniform(math.log(scale), math.log(high - low)))
         way = min(way, speed * time / 10)
         room_up, room_down = high - path.angle, path.angle - low
         up = rng.uniform() < room_up / (room_up + room_down)

@@ -10,6 +10,7 @@ second order forward and backward,
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -281,6 +282,24 @@ def _means(signal: Array, by: int) -> Array:
     size = len(signal) // by
     means: Array = signal[: size * by].reshape(size, by).mean(axis=1)
     return means
+
+
+def bristle_scale(way: float, count: float) -> float:
+    """Return about the length of a short bristle, rad, from motion over a way, rad.
+
+    It is a count. With a fine encoder it is more counts, doubled as long as `COUNTS_AFTER_TURN` of
+    this length are within the part of the way in which bristles are bent again.
+    """
+    return count * 2.0 ** _doublings(AFTER_TURN_PART * way / COUNTS_AFTER_TURN / count)
+
+
+def halved(value: float, times: float) -> list[float]:
+    """Return a value / 2, 4, .. up to `times`."""
+    return [value / 2.0**n for n in range(1, 1 + _doublings(times))]
+
+
+def _doublings(times: float) -> int:
+    return math.floor(math.log2(max(1.0, times)))
 
 
 def _sliding(

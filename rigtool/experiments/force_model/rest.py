@@ -37,6 +37,7 @@ from rigtool.experiments.force_model.drive import MotorMap, drive_of, plant_of
 from rigtool.experiments.force_model.intervals import least_at
 from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind
+from rigtool.experiments.force_model.records import halved
 from rigtool.experiments.force_model.sliding_problem import (
     SLIDING_PARAMETERS,
     logarithms,
@@ -85,7 +86,8 @@ DEVIATION_TIME = 0.4
 
 SHORT, LONG, SHARES = (0.5, 1.0, 2.0), (0.33, 0.66, 1.33, 2.66), (0.1, 0.2)
 """Where the search begins, at the best of all: lengths of both bristles over those of the model,
-and the short one's share of the friction."""
+and the short one's share of the friction. The least lengths are also halved, as often as the short
+one stays above half a count."""
 
 HUBER_THRESHOLD = 2.0
 MAX_ITERATIONS = 8
@@ -286,7 +288,9 @@ class RestProblem:
         bearing, housing = (
             2 + len(BY_REST.shape) + kinds.index(kind) for kind in (Kind.BEARING, Kind.HOUSING)
         )
-        for short, long, share in product(SHORT, LONG, SHARES):
+        finer = self.learned.shape.bearing_length / self.explorations[0].count
+        lengths = ([*some, *halved(some[0], finer)] for some in (SHORT, LONG))
+        for short, long, share in product(*lengths, SHARES):
             parameters = self.start.copy()
             parameters[:2] += np.log([short, long])
             more = share * self.friction - parameters[bearing]

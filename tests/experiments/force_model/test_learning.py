@@ -67,6 +67,17 @@ def test_no_shape_near_the_learned_one_costs_less(fit):
         assert fit.problem.cost(stepped_shape(fit.learned.shape, way))[1] > least
 
 
+def test_bristles_begin_at_more_counts_with_a_fine_encoder():
+    records = [strokes(load, 4.0) for load in (0.0, 50e-3)]
+    fine, coarse = (
+        learn_sliding(records, KNOWN, count, CALM).learned.shape
+        for count in (plant.COUNT / 10, plant.COUNT)
+    )
+    assert fine.bearing_length == pytest.approx(8 / 10 * plant.COUNT)
+    assert fine.housing_length == pytest.approx(6 * fine.bearing_length)
+    assert coarse.bearing_length == pytest.approx(plant.COUNT, rel=1e-12)
+
+
 def test_the_unit_of_torque_changes_nothing():
     """Model and covariance from strokes whose torques, moments and inertias are larger."""
     unit, records = 64.0, [strokes(load, 4.0) for load in (LOADS[0], LOADS[-1])]

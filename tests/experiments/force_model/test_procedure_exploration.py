@@ -1,6 +1,7 @@
 """The exploring motion keeps to its range and speed, and ends at rest."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -23,3 +24,11 @@ def test_it_keeps_to_range_and_speed(span, fastest, time):
 
 def test_it_repeats_itself_exactly():
     assert exploration(0, 2.0, COUNT, 10.0, 5.0) == exploration(0, 2.0, COUNT, 10.0, 5.0)
+
+
+def test_a_finer_encoder_shows_shorter_triangles_besides_the_same():
+    coarse, fine = (exploration(0.0, 2.6, COUNT / by, 10.0, 0.0) for by in (1, 16))
+    seen = np.arange(1.5 - coarse.duration, 0.0, 1e-3)
+    longest = [np.ptp(one.setpoint(seen + one.duration)[0]) for one in (coarse, fine)]
+    assert longest[0] / longest[1] == pytest.approx(16 / 8)  # as a 70th of 2.6 rad allows
+    assert len(fine.times) - len(coarse.times) == 3 * 6 * 3  # triangles, strokes, points

@@ -17,6 +17,7 @@ from rigtool.experiments.force_filter.plant import (
 from rigtool.experiments.force_model.drive import plant_of
 from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
+from rigtool.experiments.force_model.records import bristle_scale
 from rigtool.experiments.force_model.rest import (
     BY_REST,
     SPEED_RATE,
@@ -67,8 +68,13 @@ def model():
     return LearnedModel(TERMS, shape, known, coefficient, covariance, np.ones(2))
 
 
-def explored(truth, seconds=7.0, seed=4, period=0.9, sizes=(0.02, 0.4)):
-    """Let a controller turn the shaft to and fro over fewer and more counts."""
+def with_lengths(one, bearing, housing):
+    """Return a model with other lengths of its bristles."""
+    return replace(one, shape=replace(one.shape, bearing_length=bearing, housing_length=housing))
+
+
+def explored(truth, seconds=7.0, seed=4, period=0.9, sizes=(0.02, 0.4), width=COUNT):
+    """Let a controller turn the shaft to and fro over fewer and more counts of a width, rad."""
     rng = np.random.default_rng(seed)
     count = round(seconds / STEP)
     time = np.arange(count) * STEP
@@ -76,20 +82,20 @@ def explored(truth, seconds=7.0, seed=4, period=0.9, sizes=(0.02, 0.4)):
     plant = plant_of(truth, STEP / PARTS)
     kept = np.exp(-STEP / UNCERTAINTY.friction_noise_time)
     noise = 0.1e-3 * np.sqrt(1 - kept**2) * rng.standard_normal(count)
-    encoder, drive = turned(wanted, noise, kept, as_record(plant)[0], plant.friction_map)
-    return Exploration(encoder, drive / CONSTANT, STEP, CONSTANT, COUNT, STEP)
+    encoder, drive = turned(wanted, noise, kept, as_record(plant)[0], plant.friction_map, width)
+    return Exploration(encoder, drive / CONSTANT, STEP, CONSTANT, width, STEP)
 
 
 @compiled
-def turned(wanted, noise, kept, record, friction_map):
+def turned(wanted, noise, kept, record, friction_map, width):
     """Return encoder and drive torque of each sample."""
     x = np.zeros(STATES)
     x[ANGLE] = 1.0
     x[GRASPER] = 1.0 / 0.85
     encoder, drive, integral = np.empty(len(wanted)), np.empty(len(wanted)), 0.0
     for k in range(len(wanted)):
-        encoder[k] = np.floor(x[ANGLE] / COUNT)
-        error = wanted[k] - (encoder[k] + 0.5) * COUNT
+        encoder[k] = np.floor(x[ANGLE] / width)
+        error = wanted[k] - (encoder[k] + 0.5) * width
         integral += error * STEP
         drive[k] = 1.0 * error + 30.0 * integral - 8e-3 * x[SPEED]
         x[NOISE] = kept * x[NOISE] + noise[k]
@@ -112,8 +118,7 @@ def learned():
     coefficient = truth.coefficient.copy()
     shares = [list(FRICTIONS).index(kind) for kind in (Kind.BEARING, Kind.HOUSING)]
     coefficient[shares] += np.array([1.5e-3, -1.5e-3])
-    shape = replace(truth.shape, bearing_length=3.2e-3, housing_length=16e-3)
-    wrong = replace(truth, coefficient=coefficient, shape=shape)
+    wrong = with_lengths(replace(truth, coefficient=coefficient), 3.2e-3, 16e-3)
     return truth, wrong, learn_rest(wrong, motion, UNCERTAINTY), motion
 
 
@@ -153,6 +158,17 @@ def test_a_slope_is_taken_on_the_side_that_is_physically_possible(monkeypatch):
     found = learn_rest(model(), explored(model(), 2.0), UNCERTAINTY)
     assert np.all(np.isfinite(found.length_u))
     assert np.all(np.isfinite(found.covariance))
+
+
+@pytest.mark.parametrize("lengths", [(2e-3, 8e-3), (0.3e-3, 1.6e-3)])
+def test_a_fine_encoder_shows_bristles_of_many_counts_and_of_few(lengths):
+    width = COUNT / 10
+    truth = with_lengths(model(), *lengths)
+    motion = explored(truth, 4.0, sizes=(0.005, 0.4), width=width)
+    begun = bristle_scale(2.6, width)
+    found = learn_rest(with_lengths(truth, begun, 6 * begun), motion, UNCERTAINTY)
+    assert found.shape.housing_length == pytest.approx(truth.shape.housing_length, rel=0.25)
+    assert error(found, motion) < error(truth, motion)
 
 
 def turned_strokes(truth, *periods):
