@@ -19,7 +19,7 @@ from rigtool.experiments.force_filter import creeping, kalman, motion_states, pa
 from rigtool.experiments.force_filter.estimate import idle_steps
 from rigtool.experiments.force_model.drive import VISCOUS
 from rigtool.experiments.force_model.steps import LONGEST_EXACT, NO_CURRENT
-from rigtool.experiments.force_sensor import lasting_contact, power_up, shown_ripple
+from rigtool.experiments.force_sensor import lasting_contact, ripple_rows, shown_ripple
 from rigtool.experiments.force_sensor.drawn_ripple import learned_ripple
 from rigtool.experiments.force_sensor.sensor import AT_THE_LIMIT, SensorProperties
 from rigtool.numerics.arrays import Array
@@ -69,9 +69,9 @@ def sensor_header(
         "SWUNG_STEPS": creeping.steps_of(creeping.LASTING_TIME, grid.step_time),
         "BUSY_STEPS": _lasting(model.uncertainty.busy_time, grid.step_time),
         "REST_STEPS": int(kalman.rest_steps(grid.step_time)),
-        "ROW_STEPS": power_up.row_steps(grid.step_time),
-        **dict(zip(("DRAW_FACTOR", "DRAW_ADDED", "DRAW_MODULUS"), power_up.DRAW, strict=True)),
-        "LATE_ROWS": power_up.late_rows(grid.step_time),
+        "ROW_STEPS": ripple_rows.row_steps(grid.step_time),
+        **dict(zip(("DRAW_FACTOR", "DRAW_ADDED", "DRAW_MODULUS"), ripple_rows.DRAW, strict=True)),
+        "LATE_ROWS": ripple_rows.late_rows(grid.step_time),
         "ROTOR_CELLS": len(model.drive.rotor_map) - 1,
         "HOUSING_CELLS": len(plant.friction_map) - 1,
     }
@@ -175,7 +175,7 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
     uncertainty = model.uncertainty
     plant = model.plant(step_time)
     size = plant.torque_factor * (uncertainty.stroke + uncertainty.friction_noise)
-    row_time = power_up.row_steps(step_time) * step_time
+    row_time = ripple_rows.row_steps(step_time) * step_time
     return {
         "wave_kept": math.exp(-step_time / model.learned.shape.ripple_time),
         "wave_growing": growing,
@@ -185,21 +185,21 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
         "wave_turn": step_time / shown_ripple.turned_inertia(plant),
         "wave_mean": -own,
         "wave_variance": drawn,
-        "wave_doubt": drawn * (power_up.WAVE_COUNT * row_time / power_up.FORGOTTEN),
-        "row_noise": (power_up.NOISE * size) ** 2,
-        "row_walk": (np.array(power_up.WALKS) * size) ** 2 * row_time,
-        "row_reversal": (power_up.AFTER_REVERSAL * size) ** 2 * row_time / power_up.ROW_TIME,
-        "row_contact": (power_up.CONTACT * size) ** 2,
+        "wave_doubt": drawn * (ripple_rows.WAVE_COUNT * row_time / ripple_rows.FORGOTTEN),
+        "row_noise": (ripple_rows.NOISE * size) ** 2,
+        "row_walk": (np.array(ripple_rows.WALKS) * size) ** 2 * row_time,
+        "row_reversal": (ripple_rows.AFTER_REVERSAL * size) ** 2 * row_time / ripple_rows.ROW_TIME,
+        "row_contact": (ripple_rows.CONTACT * size) ** 2,
         "row_untouched": size**2,
-        "row_kept": math.exp(-row_time / power_up.MEMORY),
-        "row_begins": power_up.BEGINS * row_time,
-        "row_ends": power_up.ENDS * row_time,
-        "row_changes": power_up.CHANGES * row_time,
-        "row_least": power_up.MIN_UNTOUCHED_PROBABILITY,
-        "row_evidence": power_up.ROW_EVIDENCE,
-        "row_certain": power_up.MAX_LOG_RATIO,
-        "row_largest": power_up.LARGEST_RIPPLE_RATIO**2,
-        "row_recognised": power_up.RECOGNISED,
+        "row_kept": math.exp(-row_time / ripple_rows.MEMORY),
+        "row_begins": ripple_rows.BEGINS * row_time,
+        "row_ends": ripple_rows.ENDS * row_time,
+        "row_changes": ripple_rows.CHANGES * row_time,
+        "row_least": ripple_rows.MIN_UNTOUCHED_PROBABILITY,
+        "row_evidence": ripple_rows.ROW_EVIDENCE,
+        "row_certain": ripple_rows.MAX_LOG_RATIO,
+        "row_largest": ripple_rows.LARGEST_RIPPLE_RATIO**2,
+        "row_recognised": ripple_rows.RECOGNISED,
         "row_lasts": lasting_contact.LASTS,
         "row_lasting": (lasting_contact.LASTING * size) ** 2,
         "row_drift": (lasting_contact.DRIFT * size) ** 2 * row_time,
