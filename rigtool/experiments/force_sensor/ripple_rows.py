@@ -1,7 +1,11 @@
 """Rows of the torque on the output, each read under two hypotheses of the amplifier's ripple.
 
-`power_up` has the equations: what another power-up's ripple adds, beside what touches. A row is the
-mean of some steps; the state is one record, which compiled functions change.
+A row is the mean of some steps. Under either hypothesis of `power_up` its value y is
+
+    y = sum of beta_j w_j + M + e   where nothing touches, else a random walk that may leap,
+
+and counts by the probability that nothing touches (probabilistic data association: Y. Bar-Shalom,
+E. Tse, Automatica 11(5) 451-460, 1975). The state is one record, which compiled functions change.
 """
 
 from __future__ import annotations
