@@ -219,6 +219,10 @@ class Stretch:
         inside = states != State.OUTSIDE
         sliding = np.isin(states[rows], (State.AGAINST, State.WITH))
         at = step_time * every, self._taken("passed"), sliding, self._instrument.reach.angle
+
+        def judged_rows(values: Array) -> Array:
+            return np.where(judged[rows], values[rows], np.nan)  # the steps' memory goes
+
         return [
             TorqueRows(
                 self._name,
@@ -232,11 +236,9 @@ class Stretch:
                 causal_states.astype(np.int32),
                 None
                 if reference is None
-                else np.where(judged, held_lowpass(rate, reference, corner_hz), np.nan)[rows],
+                else judged_rows(held_lowpass(rate, reference, corner_hz)),
                 self._limited,
-                None
-                if reference is None
-                else np.where(judged, delayed(rate, reference, corner_hz), np.nan)[rows],
+                None if reference is None else judged_rows(delayed(rate, reference, corner_hz)),
                 contacts,
                 every,
                 response=None
