@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.torque_constant.staircase import LEVEL_TOLERANCE
+from rigtool.experiments.torque_constant.measured_levels import common_levels
 from rigtool.experiments.torque_constant.staircase_model import Stairs, mean_of
 from rigtool.numerics.arrays import Array
 
@@ -44,10 +44,8 @@ def straight_slope(stairs: Stairs) -> float:
 
 def levels(stairs: Stairs) -> tuple[Array, NDArray[np.int_]]:
     """Return the levels of current (l,) in A and the level of each plateau (m, p)."""
-    tolerance = 2 * LEVEL_TOLERANCE * float(np.ptp(stairs.setpoint))
-    number = np.round(stairs.setpoint / tolerance).astype(np.int64)
-    known, level = np.unique(number.ravel(), return_inverse=True)
-    return np.asarray(known * tolerance), level.reshape(number.shape).astype(np.int_)
+    known, level = np.unique(common_levels(stairs.setpoint.ravel()), return_inverse=True)
+    return known, level.reshape(stairs.setpoint.shape).astype(np.int_)
 
 
 def by_level(level: NDArray[np.int_], values: Array, weight: Array) -> tuple[Array, Array]:

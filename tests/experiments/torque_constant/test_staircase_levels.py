@@ -81,7 +81,7 @@ def test_the_arm_gives_way_by_the_line_of_positions():
 def test_levels_hold_plateaus_of_one_set_point():
     stairs = staircases()
     current, level = levels(stairs)
-    np.testing.assert_allclose(current, UP, atol=1.001e-3 * 4)
+    np.testing.assert_allclose(current, UP, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(level, np.tile(np.abs(np.r_[:17, 15:-1:-1]), (5, 1)))
     mean, count = by_level(level, stairs.torque, stairs.weight)
     for number in range(17):
@@ -95,7 +95,7 @@ def test_branches_meet_where_the_current_turns():
     stairs = staircases(noise=0.0)
     off = stairs.torque - CONSTANT * stairs.current
     current, rising, falling = branches(stairs, off)
-    np.testing.assert_allclose(current, UP, atol=1.001e-3 * 4)
+    np.testing.assert_allclose(current, UP, rtol=0, atol=1e-12)
     np.testing.assert_allclose(rising[1:], -2e-3, rtol=1e-6)
     np.testing.assert_allclose(falling[:-1], 2e-3, rtol=1e-6)
     assert falling[-1] == rising[-1]
