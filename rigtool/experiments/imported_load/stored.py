@@ -5,7 +5,7 @@ For runs of other rigs; `force_model.stored` holds what is learned on the bench'
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from typing import Any
 
@@ -21,6 +21,12 @@ from rigtool.runfile import Column, Run, Table
 
 MODEL_TABLE = "load_model"
 """The first table of a model; the names of its other tables begin likewise."""
+
+_PARTS = (
+    *("", "_covariance", "_scales", "_scatter", "_factors"),
+    *("_region", "_strokes", "_noise", "_loop"),
+)
+"""Ends of these names, in the order of the file."""
 
 _SCALES = {
     "low": ("rad", "lowest position"),
@@ -44,10 +50,11 @@ _REGION = {
     "highest": "torque",
 }
 
-_CELL = ("1", "of the stroke, from its lower end")
+_SIGNS = (np.array(SIDE_SIGNS, dtype=float), "1", "sign of the speed")
+_CELLS = (np.arange(STROKE_CELLS), "1", "of the stroke, from its lower end")
 
 
-def _table(index: str, columns: Mapping[str, tuple[Any, ...]], main: str, about: str) -> Table:
+def _table(index: str, main: str, about: str, /, **columns: tuple[Any, ...]) -> Table:
     """Return a table of columns: values, unit, description."""
     return Table(
         tuple(index.split()),
@@ -59,19 +66,71 @@ def _table(index: str, columns: Mapping[str, tuple[Any, ...]], main: str, about:
 
 def model_tables(model: LoadModel, effort_unit: str) -> dict[str, Table]:
     """Return the tables of a model; `effort_unit` is that of what the motor does."""
-    sides, loop, noise = model.sides, model.loop, model.noise
+    tables = _side_tables(model.sides) | _motion_tables(model, effort_unit)
+    return {MODEL_TABLE + part: tables[part] for part in _PARTS}
+
+
+def _side_tables(sides: Sequence[Side]) -> dict[str, Table]:
+    """Return weights, scatter and factors of both signs of the speed."""
+    from scipy.linalg import block_diag
+
     groups = [
-        np.repeat(
-            [FUNCTION_GROUPS.index(g) for g in side.groups], [size_of(g) for g in side.groups]
-        )
+        np.repeat([FUNCTION_GROUPS.index(g) for g in side.groups], list(map(size_of, side.groups)))
         for side in sides
     ]
     sign = np.repeat(SIDE_SIGNS, [len(group) for group in groups])
     term = np.arange(len(sign))
-    covariance = np.zeros((len(term), len(term)))
-    for own, side in zip(SIDE_SIGNS, sides, strict=True):
-        where = np.flatnonzero(sign == own)
-        covariance[np.ix_(where, where)] = side.covariance
+    weights = np.concatenate([side.weights for side in sides])
+    levels = [len(side.levels) for side in sides]
+    torque = np.concatenate([side.levels for side in sides])
+    factor = np.concatenate([side.factors for side in sides])
+    return {
+        "": _table(
+            "term",
+            "weight",
+            "effort of the motor by motion and torque: weights of smooth functions",
+            term=(term, "1", "of one sign of the speed, then of the other"),
+            sign=(sign, "1", "of the speed"),
+            group=(np.concatenate(groups), "1", "of functions, by its number"),
+            weight=(weights, "1", "times the unit of effort"),
+        ),
+        "_covariance": _table(
+            "term other",
+            "covariance",
+            "of the weights, from how whole recordings disagree",
+            term=(term, "1"),
+            other=(term, "1"),
+            covariance=(block_diag(*(side.covariance for side in sides)), "1", "of the weights"),
+        ),
+        "_scatter": _table(
+            "side coefficient",
+            "scatter",
+            "scatter beside the model",
+            side=_SIGNS,
+            coefficient=(np.arange(3), "1", "constant, log of speed, torque"),
+            scatter=([side.scatter for side in sides], "1", "logarithm of the variance of effort"),
+            slope=([side.slope for side in sides], "1", "usual one of effort"),
+            elsewhere=(
+                [side.elsewhere for side in sides],
+                "1",
+                "factor on uncertainty, for strokes at other places",
+            ),
+        ),
+        "_factors": _table(
+            "row",
+            "factor",
+            "what makes intervals hold at each load level",
+            row=(np.arange(sum(levels)), "1"),
+            side=(np.repeat(SIDE_SIGNS, levels), "1", "as there"),
+            torque=(torque, "1"),
+            factor=(factor, "1", "on uncertainty, from the level and from speeds left out"),
+        ),
+    }
+
+
+def _motion_tables(model: LoadModel, effort_unit: str) -> dict[str, Table]:
+    """Return units, and what both signs of the speed share: region, strokes, noise and loop."""
+    loop, noise = model.loop, model.noise
     scales = asdict(model.scales) | {
         "lowest": model.torque_range[0],
         "highest": model.torque_range[1],
@@ -79,127 +138,51 @@ def model_tables(model: LoadModel, effort_unit: str) -> dict[str, Table]:
         "direction": float(model.direction),
         "slack": model.slack,
     }
-    signs = (np.array(SIDE_SIGNS, dtype=float), "1", "sign of the speed")
-    levels = [len(side.levels) for side in sides]
-    parts = {
-        "": _table(
-            "term",
-            {
-                "term": (term, "1", "of one sign of the speed, then of the other"),
-                "sign": (sign, "1", "of the speed"),
-                "group": (np.concatenate(groups), "1", "of functions, by its number"),
-                "weight": (
-                    np.concatenate([side.weights for side in sides]),
-                    "1",
-                    "times the unit of effort",
-                ),
-            },
-            "weight",
-            "effort of the motor by motion and torque: weights of smooth functions",
-        ),
-        "_covariance": _table(
-            "term other",
-            {
-                "term": (term, "1"),
-                "other": (term, "1"),
-                "covariance": (covariance, "1", "of the weights"),
-            },
-            "covariance",
-            "of the weights, from how whole recordings disagree",
-        ),
+    offset = np.full(STROKE_CELLS, loop.offset)
+    return {
         "_scales": _table(
             "model",
-            {
-                "model": (np.arange(1), "1"),
-                "effort": ([model.effort_scale], effort_unit, "unit of effort"),
-                **{key: ([scales[key]], *about) for key, about in _SCALES.items()},
-            },
             "effort",
             "what makes numbers near 1 of position, speed, torque and effort",
-        ),
-        "_scatter": _table(
-            "side coefficient",
-            {
-                "side": signs,
-                "coefficient": (np.arange(3), "1", "constant, log of speed, torque"),
-                "scatter": (
-                    [side.scatter for side in sides],
-                    "1",
-                    "logarithm of the variance of effort",
-                ),
-                "slope": ([side.slope for side in sides], "1", "usual one of effort"),
-                "elsewhere": (
-                    [side.elsewhere for side in sides],
-                    "1",
-                    "factor on uncertainty, for strokes at other places",
-                ),
-            },
-            "scatter",
-            "scatter beside the model",
-        ),
-        "_factors": _table(
-            "row",
-            {
-                "row": (np.arange(sum(levels)), "1"),
-                "side": (np.repeat(SIDE_SIGNS, levels), "1", "as there"),
-                "torque": (np.concatenate([side.levels for side in sides]), "1"),
-                "factor": (
-                    np.concatenate([side.factors for side in sides]),
-                    "1",
-                    "on uncertainty, from the level and from speeds left out",
-                ),
-            },
-            "factor",
-            "what makes intervals hold at each load level",
+            model=(np.arange(1), "1"),
+            effort=([model.effort_scale], effort_unit, "unit of effort"),
+            **{key: ([scales[key]], *about) for key, about in _SCALES.items()},
         ),
         "_region": _table(
             "side cell",
-            {
-                "side": signs,
-                "cell": (np.arange(STROKE_CELLS), *_CELL),
-                **{key: (getattr(model.region, key), "1", what) for key, what in _REGION.items()},
-            },
             "highest",
             "speeds and torques at which the model was learned, margins included",
+            side=_SIGNS,
+            cell=_CELLS,
+            **{key: (getattr(model.region, key), "1", what) for key, what in _REGION.items()},
         ),
         "_strokes": _table(
             "stroke",
-            {
-                "stroke": (np.arange(len(model.strokes)), "1"),
-                "middle": (model.strokes, "rad", "of the motor"),
-            },
             "middle",
             "places of the strokes that were learned",
+            stroke=(np.arange(len(model.strokes)), "1"),
+            middle=(model.strokes, "rad", "of the motor"),
         ),
         "_noise": _table(
             "octave",
-            {
-                "octave": (np.arange(OCTAVES), "1", "from twice the bandwidth on"),
-                "lowest": (noise.lowest, "s", "density"),
-                "highest": (noise.highest, "s", "density"),
-                "rounding": (np.full(OCTAVES, noise.rounding), "1", "variance, of all frequencies"),
-            },
             "highest",
             "noise of the effort above the bandwidth, by its unit squared",
+            octave=(np.arange(OCTAVES), "1", "from twice the bandwidth on"),
+            lowest=(noise.lowest, "s", "density"),
+            highest=(noise.highest, "s", "density"),
+            rounding=(np.full(OCTAVES, noise.rounding), "1", "variance, of all frequencies"),
         ),
         "_loop": _table(
             "cell",
-            {
-                "cell": (np.arange(STROKE_CELLS), *_CELL),
-                "mean": (loop.mean, "1", "torque while rising less while falling"),
-                "shape": (loop.shape, "1", "standard deviation, less the offset's"),
-                "offset": (
-                    np.full(STROKE_CELLS, loop.offset),
-                    "1",
-                    "standard deviation of the whole's",
-                ),
-                "recordings": (np.full(STROKE_CELLS, loop.recordings), "1", "it is from"),
-            },
             "mean",
             "loop of the torque that recordings of this mounting show, each left out",
+            cell=_CELLS,
+            mean=(loop.mean, "1", "torque while rising less while falling"),
+            shape=(loop.shape, "1", "standard deviation, less the offset's"),
+            offset=(offset, "1", "standard deviation of the whole's"),
+            recordings=(np.full(STROKE_CELLS, loop.recordings), "1", "it is from"),
         ),
     }
-    return {MODEL_TABLE + name: table for name, table in parts.items()}
 
 
 def load_model_from(run: Run) -> tuple[LoadModel, str]:
@@ -222,12 +205,8 @@ def load_model_from(run: Run) -> tuple[LoadModel, str]:
 
 
 def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
-    terms, scales, covariance, scatter, factors, region, noise, loop = (
-        tables[MODEL_TABLE + part]
-        for part in (
-            *("", "_scales", "_covariance", "_scatter"),
-            *("_factors", "_region", "_noise", "_loop"),
-        )
+    terms, covariance, scales, scatter, factors, region, strokes, noise, loop = (
+        tables[MODEL_TABLE + part] for part in _PARTS
     )
     sides = []
     for number, sign in enumerate(SIDE_SIGNS):
@@ -250,7 +229,7 @@ def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
         )
     model = LoadModel(
         scales=Scales(**{field.name: float(scales[field.name][0]) for field in fields(Scales)}),
-        strokes=tables[MODEL_TABLE + "_strokes"]["middle"],
+        strokes=strokes["middle"],
         bandwidth_hz=float(scales["bandwidth"][0]),
         effort_scale=float(scales["effort"][0]),
         sides=(sides[0], sides[1]),
