@@ -38,11 +38,6 @@ class FourierSeries:
     examined: int
     lost: Loss
 
-    def at(self, angle: Array) -> Array:
-        """Return the series at angles (n,), rad."""
-        turned = np.multiply.outer(angle, self.order) + self.phase
-        return np.cos(turned) @ self.amplitude
-
 
 def fourier_series(turn: PositionMap, band: int | None) -> FourierSeries:
     """Return the orders of a map above the noise, up to order `band`, the highest that passed Q.

@@ -64,15 +64,13 @@ class Normality:
     """Readings against a normal distribution.
 
     `ordered` (n,) are the readings sorted, `quantile` (n,) where a standard normal distribution
-    expects them, `probability` (n,) the same as probability; `correlation` is that of the two (1
-    for a straight plot), `p` the Shapiro-Wilk probability of a sample at least this unlike a normal
-    one.
+    expects them, `probability` (n,) the same as probability; `p` is the Shapiro-Wilk probability of
+    a sample at least this unlike a normal one.
     """
 
     ordered: Array
     quantile: Array
     probability: Array
-    correlation: float
     p: float
 
 
@@ -191,7 +189,6 @@ def normality(values: ArrayLike) -> Normality:
         ordered=ordered,
         quantile=quantile,
         probability=probability,
-        correlation=float(np.corrcoef(quantile, ordered)[0, 1]),
         p=p_value(scaled),
     )
 

@@ -19,7 +19,6 @@ from rigtool.experiments.imported import rotary_recordings
 from rigtool.experiments.learning.rows import Amplitudes
 from rigtool.experiments.learning.stored_table import period_results, tables_of
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.ripple.imported import ORDERS_REPORTED
 from rigtool.experiments.ripple.imported_groups import (
     RepeatedRuns,
     groups_of,
@@ -149,7 +148,7 @@ class _Row:
 
     def listed(self) -> str:
         """Return the strongest orders, and how many were learned, as text."""
-        strongest = ", ".join(map(str, self.orders.ranked(ORDERS_REPORTED)))
+        strongest = ", ".join(map(str, self.orders.ranked()))
         return f"{strongest}, {self.orders.order.size} of {self.examined} in all"
 
 
@@ -248,7 +247,7 @@ def _results(rows: Sequence[_Row], table: LookupTable, unit: str) -> dict[str, Q
     reason = None if row.mean_u is not None else "nothing was repeated"
     dof = None if row.mean_u is None else row.dof / 2
     results["learned_mean"] = Quantity(row.mean, unit, row.mean_u, dof, reason)
-    for order in row.orders.ranked(ORDERS_REPORTED):
+    for order in row.orders.ranked():
         one = row.orders.only(row.orders.order == order)
         results[f"order_{order}_amplitude"] = scattered(
             float(one.amplitude[0]), unit, float(one.u[0]), row.dof

@@ -64,15 +64,13 @@ class LoadReading:
     """A load, N m at 90 degrees, by whole strokes and at one angle.
 
     `quantity` states it with its budget, of which `scatter_u` is a line. `cycles` (m,) are single
-    readings of it, `at_angle` (m,) those at one angle of each rising stroke. `rms` N m, at the
-    motor, is what the model leaves.
+    readings of it, `at_angle` (m,) those at one angle of each rising stroke.
     """
 
     quantity: Quantity
     scatter_u: float
     cycles: Array
     at_angle: Array
-    rms: float
 
     @property
     def moment(self) -> float:
@@ -129,15 +127,13 @@ class _Explained:
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """A load M, N m, with the weight of each row in it; readings of cycles with and without it."""
+    """A load M, N m; readings of cycles with and without it."""
 
     moment: float
-    weight: Array
     cycles: Array
     zeros: list[Array]
     at_angle: Array
     model_u: float
-    rms: float
     misfit_u: float
 
 
@@ -180,7 +176,7 @@ def _stated(found: _Found, us: Iterator[tuple[float, float]]) -> LoadReading:
         error_line("what the disturbance leaves", found.misfit_u, "N m"),
     ]
     stated = combined(found.moment, "N m", lines)
-    return LoadReading(stated, scatter_u, found.cycles, found.at_angle, found.rms)
+    return LoadReading(stated, scatter_u, found.cycles, found.at_angle)
 
 
 def _zero(model: LearnedModel, pair: LoadedPair) -> tuple[Array, Array]:
@@ -246,12 +242,10 @@ def _find(
     misfit = math.sqrt(max(rms**2 - scattered, 0.0) + hidden)
     return _Found(
         moment=moment,
-        weight=weight,
         cycles=moment + readings(loaded),
         zeros=[readings(record) for record in pair.unloaded],
         at_angle=moment + shown_at[:-1] / shown_at[-1],
         model_u=math.sqrt(max(0.0, float(by @ model.covariance @ by))),
-        rms=rms,
         misfit_u=misfit * float(np.linalg.norm(weight)) * math.sqrt(used.sum() / independent),
     )
 

@@ -44,9 +44,6 @@ NEAR_SPEED = 0.3
 ALIASES_SHOWN = 6
 """Pairs of orders that a note lists."""
 
-ORDERS_REPORTED = 10
-"""Number of orders among the results: the strongest of the significant ones."""
-
 
 def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
     """Find the orders of each condition and compare conditions; or compare maps.
@@ -133,7 +130,7 @@ def _rank(pair: tuple[RepeatedRuns, RepeatedRuns, str]) -> tuple[float, float, f
 def _strongest(group: RepeatedRuns) -> list[int]:
     """Return the significant orders, the strongest first."""
     found = group.spectra["torque"]
-    return found.ranked(ORDERS_REPORTED, np.where(group.clear(), found.amplitude, 0.0))
+    return found.ranked(np.where(group.clear(), found.amplitude, 0.0))
 
 
 def _results(

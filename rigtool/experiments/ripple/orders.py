@@ -26,6 +26,9 @@ WAVEFORM_CELLS = 500
 HIGHEST_ORDER = 100
 """Of rotation, in spectra: cogging of 12 slots and 14 poles has order 84."""
 
+ORDERS_REPORTED = 10
+"""Number of orders among the results: the strongest of the significant ones."""
+
 SIGNIFICANT_RATIO = 2.0
 """Multiple of the noise floor above which an order is significant."""
 
@@ -193,10 +196,10 @@ class Spectrum:
         weighted = float(np.linalg.norm(self.amplitude * self.u))
         return rms, weighted / (2 * rms) if rms > 0 else 0.0
 
-    def ranked(self, count: int, strength: Array | None = None) -> list[int]:
-        """Return `count` orders of most amplitude, or `strength` (m,), that is not 0."""
+    def ranked(self, strength: Array | None = None) -> list[int]:
+        """Return `ORDERS_REPORTED` orders of most amplitude, or `strength` (m,), that is not 0."""
         power = self.amplitude if strength is None else strength
-        order = np.argsort(-power, kind="stable")[:count]
+        order = np.argsort(-power, kind="stable")[:ORDERS_REPORTED]
         return [int(self.order[i]) for i in order if power[i] > 0]
 
     def strongest(self) -> int:

@@ -34,13 +34,12 @@ MIN_READINGS = 4
 class SpringCurve:
     """A straight line through measured readings: deflection = force / stiffness + offset.
 
-    `stiffness` in N/m with its standard uncertainty, `offset` in m; `deflection` (n,) m is that of
-    the line, `dof` are its degrees of freedom.
+    `stiffness` in N/m with its standard uncertainty; `deflection` (n,) m is that of the line, `dof`
+    are its degrees of freedom.
     """
 
     stiffness: float
     stiffness_u: float
-    offset: float
     deflection: Array
     dof: int
 
@@ -70,7 +69,7 @@ def spring_curve(force: ArrayLike, deflection: ArrayLike) -> SpringCurve:
             "needed: pull harder, read more finely, or check the sign"
         )
     stiffness = 1 / compliance
-    return SpringCurve(stiffness, stiffness**2 * u, offset, y - residual, dof)
+    return SpringCurve(stiffness, stiffness**2 * u, y - residual, dof)
 
 
 def eccentric_torque(

@@ -64,7 +64,7 @@ class Slopes:
     the resolution of the gauge, `rounding` (places, m) in N m/A what it adds to each slope with the
     gauge's zero at some places within its step; `trend_u` in N m/(A K) is what both give a change
     with temperature. `transition` is s of (1) in N m (None where no friction shows), `exponent`
-    that of its law, `time_constant` tau in s; `span` is that of the torque, N m. `level` (l,) in A,
+    that of its law, `time_constant` tau in s. `level` (l,) in A,
     `rising` and `falling` (l,) in N m: torque minus the straight line, mean over staircases;
     `hysteresis` in N m: falling minus rising in the middle of the span, `hysteresis_u` its standard
     uncertainty with `hysteresis_dof`.
@@ -96,7 +96,6 @@ class Slopes:
     transition: float | None
     exponent: float
     time_constant: float
-    span: float
     level: Array
     rising: Array
     falling: Array
@@ -172,7 +171,6 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         transition=hypotheses.best.transition,
         exponent=hypotheses.best.exponent,
         time_constant=hypotheses.best.time_constant,
-        span=float(np.ptp(stairs.courses.torque)),
         level=level,
         rising=rising,
         falling=falling,

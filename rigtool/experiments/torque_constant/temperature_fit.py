@@ -194,7 +194,6 @@ class _Fit:
     slope_u: tuple[float, float]
     tilt: float  # 1/K
     trend_u: float
-    coefficient: float  # relative to k at the mean temperature, 1/K
     slope_known: bool
     gain: Array  # (m,) r of each staircase
     scatter: float  # relative part of value_u from the scatter that the slopes state
@@ -236,7 +235,6 @@ def _fit_temperature(slopes: Slopes) -> _Fit:
             slopes.friction_u * slope,
             TREND_U * slopes.friction_share * slope,
         ),
-        coefficient=slope / value,
         slope_known=known,
         gain=1 + found.effect / value,
         scatter=scatter / value,

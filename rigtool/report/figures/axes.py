@@ -20,10 +20,10 @@ OUTPUT_TORQUE = "torque at the output [mN m]"
 MOTOR_TORQUE = "torque at the motor [mN m]"
 
 
-def counts(run: Run, table: Table, column: str) -> Array:
-    """Return a column of motor positions, stored in quad counts or rad, in quad counts."""
-    values = np.asarray(table[column], dtype=np.float64)
-    if table.columns[column].unit != "rad":
+def counts(run: Run, table: Table) -> Array:
+    """Return the motor positions of a table, stored in quad counts or rad, in quad counts."""
+    values = np.asarray(table["position"], dtype=np.float64)
+    if table.columns["position"].unit != "rad":
         return values
     turn = 4000 if run.recipe is None else run.recipe.rig.encoder_counts
     return values * turn / (2 * math.pi)

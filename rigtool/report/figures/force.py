@@ -30,7 +30,7 @@ PROBABILITY_TICKS = (0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99)
 def draw_feedforward(run: Run, table: Table) -> style.Figure:
     """Fig. 58: feed-forward from the learned table over one up-and-down."""
     figure, axes = style.one_panel(UP_AND_DOWN, MOTOR_TORQUE)
-    position = counts(run, table, "position")
+    position = counts(run, table)
     axes.plot(position, MILLI * table["torque"], color=style.BLUE)
     cycle_axis(axes, position[-1] / 2)
     return figure
@@ -40,7 +40,7 @@ def draw_feedforward(run: Run, table: Table) -> style.Figure:
 def draw_variation(run: Run, table: Table) -> style.Figure:
     """Fig. 59: the torque that remains without load, all cycles in one plot."""
     figure, axes = style.one_panel(UP_AND_DOWN, OUTPUT_TORQUE)
-    position, torque = counts(run, table, "position"), MILLI * table["torque"]
+    position, torque = counts(run, table), MILLI * table["torque"]
     # After the low-pass at 5 Hz there is no detail between these points.
     drawn = thin(MAX_POINTS, position, torque)
     axes.plot(drawn[0], drawn[1].T, color=style.BLUE, linewidth=0.6, alpha=0.5)
@@ -73,7 +73,7 @@ def draw_probability_plot(run: Run, table: Table) -> style.Figure:
 def draw_remaining(run: Run, table: Table) -> style.Figure:
     """Fig. 61: feed-forward (blue) and remaining disturbance (green) of one cycle."""
     figure, axes = style.one_panel(UP_AND_DOWN, MOTOR_TORQUE)
-    position = counts(run, table, "position")
+    position = counts(run, table)
     axes.plot(position, MILLI * table["torque"], color=style.BLUE, label="feed-forward")
     axes.plot(position, MILLI * table["residual"], color=style.GREEN, label="remaining disturbance")
     style.legend_above(axes)
@@ -110,7 +110,7 @@ def draw_lifting_lowering(run: Run, table: Table) -> style.Figure:
 
 def _lifted(run: Run, table: Table) -> tuple[style.Figure, style.Axes, float]:
     """Draw a load lifted and lowered; also return the middle of the stroke, quad counts."""
-    stroke = counts(run, table, "position")
+    stroke = counts(run, table)
     end = float(stroke[-1])
     figure, axes = style.one_panel(UP_AND_DOWN, OUTPUT_TORQUE)
     measured = full_cycle(stroke, MILLI * table["lifting"], MILLI * table["lowering"], end)

@@ -35,7 +35,7 @@ PUBLISHED_SPEEDS_REV_PER_S = (1.0, 2.0)
 )
 def draw_lookup_table(run: Run, table: Table) -> style.Figure:
     """Fig. 50: content of the two-dimensional table, torque by position and speed, as two views."""
-    position, torque = thin(120, counts(run, table, "position"), MILLI * table["torque"])
+    position, torque = thin(120, counts(run, table), MILLI * table["torque"])
     speeds = table["speed"]
     figure = style.empty(6.4)
     axes: Any = figure.add_axes((0, 0.42, 1, 0.58), projection="3d")
@@ -112,7 +112,7 @@ def draw_residual(run: Run, table: Table) -> style.Figure:
     ratio, end = _stroke(run)
     chosen = _two_speeds(speeds, ratio)
     figure, axes = style.panels(len(chosen), UP_AND_DOWN, [MOTOR_TORQUE] * len(chosen), 4.6)
-    position = counts(run, table, "position")
+    position = counts(run, table)
     for panel, speed in zip(axes, chosen, strict=True):
         rising, falling = (int(np.argmin(np.abs(speeds - s))) for s in (speed, -speed))
         for name, colour, label in (

@@ -45,7 +45,7 @@ def draw_breakaway(run: Run, table: Table) -> style.Figure:
     labels = ["torque [mN m]", "rotor position [quad counts]"]
     figure, (torque, position) = style.panels(2, "time [s]", labels, 4.2)
     torque.plot(table["time"], MILLI * table["torque"], color=style.BLUE)
-    position.plot(table["time"], counts(run, table, "position"), color=style.ORANGE)
+    position.plot(table["time"], counts(run, table), color=style.ORANGE)
     if (found := _breakaway_of(run, table)) is not None:
         time, level = found
         for axes in (torque, position):

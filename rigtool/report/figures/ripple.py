@@ -13,6 +13,9 @@ MAX_POINTS = 1000
 MAX_SPECTRA = 4
 """Most speeds whose spectra are shown."""
 
+BAR_ORDERS = 8
+"""Orders whose amplitudes are shown as bars."""
+
 
 @plot(23, "fft-ripple", "Ripple after power off and on", "power_waveforms")
 def draw_power_cycles(run: Run, table: Table) -> style.Figure:
@@ -120,7 +123,7 @@ def draw_psd_by_speed(run: Run, table: Table) -> style.Figure:
 
 def _waveforms(run: Run, table: Table) -> tuple[Array, Array]:
     """Return positions in counts, and waveforms in mN m less their means."""
-    position, waves = thin(MAX_POINTS, counts(run, table, "position"), MILLI * table[table.signal])
+    position, waves = thin(MAX_POINTS, counts(run, table), MILLI * table[table.signal])
     return position, waves - waves.mean(axis=-1, keepdims=True)
 
 
@@ -128,10 +131,10 @@ def _one_turn(axes: style.Axes, position: Array) -> None:
     axes.set_xlim(0, np.ceil(position[-1] / 100) * 100)
 
 
-def _bars(axes: style.Axes, order: Array, amplitude: Array, orders: int = 8) -> None:
-    shown = (order >= 1) & (order <= orders)
+def _bars(axes: style.Axes, order: Array, amplitude: Array) -> None:
+    shown = (order >= 1) & (order <= BAR_ORDERS)
     axes.bar(order[shown], amplitude[shown], color=style.ORANGE, width=0.6)
-    axes.set_xticks(range(1, orders + 1))
+    axes.set_xticks(range(1, BAR_ORDERS + 1))
     axes.set_ylabel("ampl. [mN m]")
     axes.grid(visible=False, axis="x")
 

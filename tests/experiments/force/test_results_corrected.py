@@ -93,7 +93,7 @@ def reading(cycles, moment=0.05):
     rng = np.random.default_rng(cycles)
     quantity = combined(moment, "N m", [error_line("scatter", 2e-4, "N m", 6)])
     own = moment + 1e-3 * rng.standard_normal(cycles)
-    return LoadReading(quantity, 2e-4, own, own * 1.01, 1e-4)
+    return LoadReading(quantity, 2e-4, own, own * 1.01)
 
 
 def test_a_whole_stroke_is_stated_at_the_angle_of_the_reading():

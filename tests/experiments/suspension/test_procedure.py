@@ -11,7 +11,7 @@ from rigtool.recipe import load_recipe
 from tests.experiments.virtual_runs import RECIPE
 
 SPRINGS = load_recipe(RECIPE, ())[0].rig.suspension
-CURVE = SpringCurve(15e3, 120.0, 0.0, np.zeros(6), 4)
+CURVE = SpringCurve(15e3, 120.0, np.zeros(6), 4)
 SUM = SPRINGS.motor_eccentricity + SPRINGS.tool_eccentricity
 
 

@@ -18,7 +18,6 @@ from rigtool.experiments.imported import position_of, rotary_recordings
 from rigtool.experiments.learning.learned_table import LearnedTable
 from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.ripple.imported import ORDERS_REPORTED
 from rigtool.experiments.ripple.imported_groups import (
     GROUP_SPEED_TOLERANCE,
     RepeatedRuns,
@@ -172,7 +171,7 @@ class _Compared:
     def strongest(self) -> list[int]:
         """Return the strongest orders of the map that the run shows, too."""
         strength = np.where(self.shown.clear, np.abs(self.mapped), 0.0)
-        return self.shown.ranked(ORDERS_REPORTED, strength)
+        return self.shown.ranked(strength)
 
     def table(self, unit: str) -> Table:
         """Return all orders."""

@@ -30,7 +30,7 @@ from rigtool.experiments.learning.implementations.skeleton import TaughtTable
 from rigtool.experiments.learning.rows import Amplitudes, Row, fit_amplitudes
 from rigtool.experiments.learning.turns import TURN, repeatable_row, turn_angles
 from rigtool.recipe import Recipe
-from rigtool.runfile import Recording, RecordingSpec, Table
+from rigtool.runfile import Recording, RecordingSpec
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,10 +93,6 @@ class AllSpeeds(BareMotor[TaughtSpeeds]):
     def learned_speeds(self, taught: TaughtSpeeds) -> Collection[float]:
         """Return all speeds of the table."""
         return taught.table.speed.tolist()
-
-    def learned_tables(self, taught: TaughtSpeeds) -> dict[str, Table]:
-        """Return no results beside the table."""
-        return {}
 
     def learned_notes(self, taught: TaughtSpeeds) -> list[str]:
         """State where the table was learned, and where it is zero."""

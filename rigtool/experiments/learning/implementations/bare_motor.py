@@ -242,10 +242,6 @@ class BareMotor(Implementation[T]):
         """Return turns without the table, at the speeds at which it is switched on."""
 
     @abstractmethod
-    def learned_tables(self, taught: T) -> dict[str, Table]:
-        """Return the results of the learning beside the table itself."""
-
-    @abstractmethod
     def learned_speeds(self, taught: T) -> Collection[float]:
         """Return the speeds at which the table was learned, rad/s."""
 
@@ -256,6 +252,10 @@ class BareMotor(Implementation[T]):
     @abstractmethod
     def without_tuning(self, taught: T) -> LookupTable:
         """Return the table without low-speed or tuning tables, for the sweep."""
+
+    def learned_tables(self, taught: T) -> dict[str, Table]:
+        """Return the results of the learning beside the table itself."""
+        return {}
 
     def extra_results(self) -> dict[str, Quantity]:
         """Return results of this implementation alone."""

@@ -75,12 +75,10 @@ def iterations_table(history: Sequence[LearningRun], unit: str, what: str) -> Ta
     )
 
 
-def iterations_notes(
-    history: Sequence[LearningRun], scale: float, unit: str, most: int
-) -> tuple[str, ...]:
-    """State why learning ended, and the remainder; `scale` converts the signal's unit to `unit`."""
+def iterations_notes(history: Sequence[LearningRun], unit: str, most: int) -> tuple[str, ...]:
+    """State why learning ended, and the remainder; `unit` is a thousandth of the signal's."""
     learned = len(history) > 1 and history[-1].finished
-    rest = f"{history[-1].scatter * scale:.3g} {unit} rms in a single cycle"
+    rest = f"{history[-1].scatter * 1e3:.3g} {unit} rms in a single cycle"
     if history[0].finished:
         return (f"nothing repeats above chance: all there is, {rest}, cannot be learned",)
     if learned:

@@ -216,7 +216,7 @@ class Implementation(ABC, Generic[T]):
                 *report.learned,
                 *self.filters.origin,
                 *report.switched_on,
-                *iterations_notes(taught.history, 1e3, self.UNIT, most),
+                *iterations_notes(taught.history, self.UNIT, most),
                 *report.validated.notes,
             ),
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -107,7 +107,7 @@ def _steady_results(
 
 
 def _limit(item: Steady, speeds: int) -> float:
-    """Return Student's t that chance exceeds at one of all speeds with the probability LEVEL."""
+    """Return Student's t that chance exceeds at one of all speeds by `FALSE_ALARM_PROBABILITY`."""
     from scipy.special import stdtrit
 
     freedom = min(len(item.before.moves), len(item.after.moves)) - 1
@@ -153,13 +153,12 @@ class Sweep:
     speed: Array
     torque: dict[str, Array]
     table: Array
-    notes: tuple[str, ...] = field(default=())
 
     def outcome(self) -> Outcome:
         """Report the remainder over the whole sweep, by speed, and along it."""
         by_speed = self._by_speed()
         tables = {"sweep_by_speed": by_speed, "sweep": self._signals()}
-        return Outcome(self._results(by_speed), tables, self.notes)
+        return Outcome(self._results(by_speed), tables)
 
     def _results(self, by_speed: Table) -> dict[str, Quantity]:
         """Return the rms over the whole sweep, and the level: each speed counts by its ratio.

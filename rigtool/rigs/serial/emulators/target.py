@@ -22,6 +22,8 @@ from rigtool.rigs.virtual import VirtualRig
 
 TARGET_NAME = "rigtool target emulator"
 
+MAX_PAYLOAD = 4096
+"""Bytes that a frame carries at most."""
 
 VALUE_ERRORS = (RigtoolError, ValueError, ArithmeticError, struct.error)
 """Errors that impossible values cause, wherever they are used."""
@@ -50,12 +52,10 @@ class TargetEmulator(Emulator):
         paced: bool = False,
         keeps_log: bool = True,
         log_bytes: int = 1 << 28,
-        max_payload: int = 4096,
         channels: tuple[str, ...] | None = None,
     ) -> None:
         self._recipe, self._paced = recipe, paced
         self._keeps_log, self._log_bytes = keeps_log, log_bytes
-        self._max_payload = max_payload
         self._channels = link.LINK_CHANNELS if channels is None else channels
         if unknown := set(self._channels) - set(link.LINK_CHANNELS):
             raise UsageError(
@@ -173,7 +173,7 @@ class TargetEmulator(Emulator):
             link.VERSION,
             boot,
             abilities,
-            self._max_payload,
+            MAX_PAYLOAD,
             self._log_bytes,
             rig.sample_time,
             rig.encoder_counts,
@@ -320,7 +320,7 @@ class TargetEmulator(Emulator):
     def _read(self, payload: bytes) -> bytes:
         first, count = link.READ.unpack(payload)
         data = self._samples(first, count)
-        if len(data) + link.FIRST.size > self._max_payload:
+        if len(data) + link.FIRST.size > MAX_PAYLOAD:
             raise _Refused(f"READ of {count} samples is more than a frame holds")
         return link.FIRST.pack(first) + data
 

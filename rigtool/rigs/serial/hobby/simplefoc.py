@@ -131,7 +131,7 @@ class SimpleFoc:
         self._off()
         if self._get("C", "0") != "torque":
             raise HardwareError(f"{self._line.port}: the drive does not follow torque targets")
-        self._target(0.0)
+        self._ask_for_nothing()
         if self._get("E", "1") != "1":
             raise HardwareError(f"{self._line.port}: the drive does not switch on")
         self._on = True
@@ -148,12 +148,12 @@ class SimpleFoc:
         self._off()
 
     def _off(self) -> None:
-        self._target(0.0)
+        self._ask_for_nothing()
         if self._get("E", "0") != "0":
             raise DamagedReply(f"{self._line.port}: the drive reports that it is still on")
 
-    def _target(self, current: float) -> None:
-        text = f"{self._letter}{current:.{DECIMALS}f}"
+    def _ask_for_nothing(self) -> None:
+        text = f"{self._letter}{0.0:.{DECIMALS}f}"
         self._ask(text, text)
 
     # -- samples

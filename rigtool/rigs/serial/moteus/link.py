@@ -66,9 +66,7 @@ class Link:
         self.sealed = False
         self.line.settle()
 
-    def query(
-        self, frame: bytes, expected: tuple[int, ...], *, retries: int | None = None
-    ) -> Mapping[int, float]:
+    def query(self, frame: bytes, expected: tuple[int, ...]) -> Mapping[int, float]:
         """Send subframes and return the registers of the reply; `expected` have to be there.
 
         Raises `RequestRefused` where the drive refuses a register.
@@ -83,7 +81,7 @@ class Link:
                 raise frames.BadFrame(f"register 0x{missing[0]:03x} is not in the reply")
             return found
 
-        return self._exchange(frame, understand, retries=retries)
+        return self._exchange(frame, understand)
 
     def _request(self, frame: bytes, *, reply: bool) -> tuple[bytes, int]:
         identifier, source = self._address(reply=reply)

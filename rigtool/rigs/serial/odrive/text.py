@@ -191,8 +191,8 @@ class OdriveProtocol:
     to the one before, since firmware 0.6 drops a reply while another is being sent.
     """
 
-    def __init__(self, line: Line, at_once: bool = False) -> None:
-        self._line, self.at_once = line, at_once
+    def __init__(self, line: Line) -> None:
+        self._line, self.at_once = line, False
 
     def ask(
         self,
