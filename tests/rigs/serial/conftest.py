@@ -2,7 +2,15 @@
 
 import pytest
 
+from rigtool.rigs.serial.hosted import loop
+
 
 @pytest.fixture(autouse=True)
 def time_is_emulated(world):
     """Whatever is asked for."""
+
+
+@pytest.fixture
+def short_blocks(monkeypatch):
+    """Twenty blocks of samples a second."""
+    monkeypatch.setattr(loop, "BLOCK_TIME", 0.05)

@@ -16,6 +16,7 @@ from rigtool.rigs import Feedforward, Load, Task, open_rig
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile, Triangle
 from rigtool.rigs.virtual import contacts
 from rigtool.signals import CHANNELS
+from tests.rigs.performed import perform
 
 RECIPE = Path(__file__).parents[3] / "recipes" / "briaire-2006.toml"
 KT, RADIUS, RATIO = 0.0454, 0.020, 0.85
@@ -43,11 +44,6 @@ def rig_with(*touching, overrides=()):
     recipe, _ = load_recipe(RECIPE, overrides)
     virtual = recipe.virtual.model_copy(update={"contact": touching})
     return open_rig(recipe.model_copy(update={"virtual": virtual}), KT, "test"), recipe
-
-
-def perform(rig, task):
-    blocks = list(rig.perform(task))
-    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
 
 
 def held(rig, angle, duration, every=8):

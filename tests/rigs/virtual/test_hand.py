@@ -13,6 +13,7 @@ from rigtool.recipe.virtual import Hand, Tissue
 from rigtool.rigs import Task, open_rig
 from rigtool.rigs.motion import Observe
 from rigtool.rigs.virtual import hand
+from tests.rigs.performed import perform
 
 RECIPE = Path(__file__).parents[3] / "recipes" / "briaire-2006.toml"
 RATIO = 0.85
@@ -29,8 +30,7 @@ def observed(duration=20.0, every=8, touching=(), **settings_of_hand):
     changes = {"hand": Hand(**settings_of_hand), "contact": touching}
     virtual = recipe.virtual.model_copy(update=changes)
     rig = open_rig(recipe.model_copy(update={"virtual": virtual}), 0.0454, "test")
-    blocks = list(rig.perform(Task(Observe(duration), record_every=every, touched=True)))
-    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+    return perform(rig, Task(Observe(duration), record_every=every, touched=True))
 
 
 @settings(deadline=None, max_examples=40)

@@ -15,6 +15,7 @@ from rigtool.rigs import Feedforward, Load, Task, open_rig
 from rigtool.rigs.motion import CurrentRamp, CurrentSteps, SpeedProfile, Triangle
 from rigtool.rigs.virtual.maps import MAP_SIZE, rotor_map
 from tests.other_tools import control
+from tests.rigs.performed import perform
 
 RECIPE = Path(__file__).parents[3] / "recipes" / "briaire-2006.toml"
 
@@ -51,11 +52,6 @@ STEPS = pytest.mark.parametrize("sample_time", [125e-6, 1e-3])
 def rig_with(*overrides, stream="test"):
     recipe, _ = load_recipe(RECIPE, [*IDEAL, *overrides])
     return open_rig(recipe, KT, stream), recipe
-
-
-def perform(rig, task):
-    blocks = list(rig.perform(task))
-    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
 
 
 def test_free_rotor_accelerates_as_newton_says():

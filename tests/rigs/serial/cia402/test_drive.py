@@ -15,10 +15,10 @@ from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import open_serial_rig
 from rigtool.rigs.serial.drive import SetPoint
 from rigtool.rigs.serial.drivers import driver
-from rigtool.rigs.serial.hosted import loop
 from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.ports import find_devices
 from tests.cli.test_run_commands import call
+from tests.rigs.performed import perform
 from tests.rigs.serial.emulators.canopen import (
     I16,
     RATED,
@@ -37,9 +37,7 @@ KINDS = {"cia402": CiA402Emulator, "maxon-can": Epos4CanEmulator}
 MOVING = {0x6040, 0x6071, 0x60B2, 0x60FF, 0x607A}
 
 
-@pytest.fixture(autouse=True)
-def short_blocks(monkeypatch):
-    monkeypatch.setattr(loop, "BLOCK_TIME", 0.05)
+pytestmark = pytest.mark.usefixtures("short_blocks")
 
 
 @pytest.fixture(params=KINDS)
@@ -51,11 +49,6 @@ def can_rig(port, *more, name="cia402", spy=None):
     recipe = serial_recipe(f"can:slcan:{port}", *more, driver=name, sample_time=PERIOD)
     operator = Operator(say=lambda text: None, present=False, yes=True, spy=spy)
     return HostedRig(recipe, 0.045, "test", operator, driver(name))
-
-
-def perform(rig, task):
-    blocks = list(rig.perform(task))
-    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
 
 
 def test_motion_follows_its_set_points_and_settings_come_back(name):

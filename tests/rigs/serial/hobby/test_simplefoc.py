@@ -14,6 +14,7 @@ from rigtool.rigs.serial.hobby import simplefoc
 from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.line import Line, LineLost
 from rigtool.rigs.serial.ports import find_devices
+from tests.rigs.performed import perform
 from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.emulators.simplefoc import SimpleFocEmulator
 from tests.rigs.serial.recipes import serial_recipe
@@ -34,11 +35,6 @@ TO_AND_FRO = Task(Triangle(0.1, 2.1, 4.0, 0.5, cycles=1), Feedforward(1.5e-5, 2.
 def simplefoc_rig(port, *more, operator=QUIET):
     recipe = serial_recipe(port, *LOOP, *more, driver="simplefoc", sample_time=PERIOD)
     return HostedRig(recipe, 0.045, "test", operator, simplefoc.DRIVER)
-
-
-def perform(rig, task):
-    blocks = list(rig.perform(task))
-    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
 
 
 def test_devices_finds_it_and_asks_only():

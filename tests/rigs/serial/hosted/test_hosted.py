@@ -16,6 +16,7 @@ from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.drive import Abilities
 from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.line import LineLost
+from tests.rigs.performed import perform
 from tests.rigs.serial import toy
 from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.recipes import serial_recipe
@@ -32,11 +33,6 @@ def toy_rig(port, *more, operator=None, make_drive=toy.make_drive):
     operator = operator or Operator(say=lambda text: None, present=False, yes=True)
     driver = replace(toy.DRIVER, make_drive=make_drive)
     return HostedRig(recipe, 0.045, "test", operator, driver)
-
-
-def perform(rig, task):
-    blocks = list(rig.perform(task))
-    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
 
 
 def test_motion_is_followed_and_logged():

@@ -24,6 +24,7 @@ from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.maxon import driver as maxon
 from rigtool.rigs.serial.moteus import driver as moteus
 from rigtool.rigs.serial.odrive import driver as odrive
+from tests.rigs.performed import perform
 from tests.rigs.serial import toy
 from tests.rigs.serial.emulators.maxon import Epos4Emulator
 from tests.rigs.serial.emulators.moteus import MoteusEmulator
@@ -64,11 +65,6 @@ def emulated(world, name, period, *more, make_drive=None, delay=3e-4):
     make_drive = make_drive or usual
     rig = HostedRig(recipe, CONSTANT, "test", operator, Driver(toy.probe, (115200,), make_drive))
     return device, rig
-
-
-def perform(rig, task):
-    blocks = list(rig.perform(task))
-    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
 
 
 def friction_fits(rig, **settings):

@@ -20,7 +20,6 @@ from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.cia402.objects import MODE, POSITION, TARGET_SPEED, TARGET_TORQUE
-from rigtool.rigs.serial.hosted import loop
 from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.line import Line, LineLost
 from rigtool.rigs.serial.maxon import driver as maxon
@@ -28,6 +27,7 @@ from rigtool.rigs.serial.maxon import guard as maxon_guard
 from rigtool.rigs.serial.maxon.frames import OKAY, DleFrames, crc, dle_frame, lock_step_frame
 from rigtool.rigs.serial.maxon.objects import CURRENT_TARGET_2
 from rigtool.rigs.serial.ports import find_devices
+from tests.rigs.performed import perform
 from tests.rigs.serial.emulators.faults import Fault, inject, serve
 from tests.rigs.serial.emulators.maxon import (
     NOT_AWAITED,
@@ -46,9 +46,7 @@ TO_AND_FRO = Task(SpeedProfile((0.0, 0.05, 0.2, 0.3, 0.4), (0.0, 4.0, 4.0, -4.0,
 BRIEF = Task(SpeedProfile((0.0, 0.05, 0.1), (0.0, 1.0, 0.0)))
 
 
-@pytest.fixture(autouse=True)
-def short_blocks(monkeypatch):
-    monkeypatch.setattr(loop, "BLOCK_TIME", 0.05)
+pytestmark = pytest.mark.usefixtures("short_blocks")
 
 
 @pytest.fixture(autouse=True)
@@ -85,11 +83,6 @@ def maxon_rig(port, *more, operator=None):
     recipe = serial_recipe(port, "serial.watchdog=1.5", *more, driver="maxon", sample_time=PERIOD)
     operator = operator or Operator(say=lambda text: None, present=False, yes=True)
     return PatientRig(recipe, 0.045, "test", operator, maxon.DRIVER)
-
-
-def perform(rig, task):
-    blocks = list(rig.perform(task))
-    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
 
 
 def settings(device):

@@ -9,11 +9,11 @@ from rigtool.rigs.motion import SpeedProfile
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import open_serial_rig
 from rigtool.rigs.serial.drive import SetPoint
-from rigtool.rigs.serial.hosted import loop
 from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.moteus import can
 from rigtool.rigs.serial.ports import find_devices
+from tests.rigs.performed import perform
 from tests.rigs.serial.emulators.can_drives import MoteusCanEmulator
 from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.recipes import serial_recipe
@@ -23,9 +23,7 @@ TO_AND_FRO = Task(SpeedProfile((0.0, 0.05, 0.2, 0.3, 0.4), (0.0, 4.0, 4.0, -4.0,
 QUIET = Operator(say=lambda text: None, present=False, yes=True)
 
 
-@pytest.fixture(autouse=True)
-def short_blocks(monkeypatch):
-    monkeypatch.setattr(loop, "BLOCK_TIME", 0.05)
+pytestmark = pytest.mark.usefixtures("short_blocks")
 
 
 def can_rig(port, *more, operator=QUIET):
@@ -33,11 +31,6 @@ def can_rig(port, *more, operator=QUIET):
         f"can:slcan:{port}?fd=true", *more, driver="moteus-can", sample_time=PERIOD
     )
     return HostedRig(recipe, 0.045, "test", operator, can.DRIVER)
-
-
-def perform(rig, task):
-    blocks = list(rig.perform(task))
-    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
 
 
 def test_motion_follows_and_settings_come_back():

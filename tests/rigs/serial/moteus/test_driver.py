@@ -24,6 +24,7 @@ from rigtool.rigs.serial.moteus import driver as moteus
 from rigtool.rigs.serial.moteus import frames
 from rigtool.rigs.serial.ports import find_devices
 from tests.cli.test_run_commands import call
+from tests.rigs.performed import perform
 from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.emulators.moteus import MoteusEmulator
 from tests.rigs.serial.recipes import serial_recipe
@@ -45,11 +46,6 @@ def moteus_rig(port, *more, operator=None):
         operator or replace(QUIET, yes=True),
         moteus.DRIVER,
     )
-
-
-def perform(rig, task):
-    blocks = list(rig.perform(task))
-    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
 
 
 def assert_off_and_as_before(device):

@@ -10,10 +10,10 @@ from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import open_serial_rig
-from rigtool.rigs.serial.hosted import loop
 from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.odrive import can
 from rigtool.rigs.serial.ports import find_devices
+from tests.rigs.performed import perform
 from tests.rigs.serial.emulators.can_drives import IDLE, ODriveCanEmulator
 from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.recipes import serial_recipe
@@ -26,9 +26,7 @@ STEPS = Task(CurrentSteps((0.1, -0.08), 0.2))
 QUIET = Operator(say=lambda text: None, present=False, yes=True)
 
 
-@pytest.fixture(autouse=True)
-def short_blocks(monkeypatch):
-    monkeypatch.setattr(loop, "BLOCK_TIME", 0.05)
+pytestmark = pytest.mark.usefixtures("short_blocks")
 
 
 @pytest.fixture(params=[False, True], ids=["0.5", "0.6"])
@@ -41,11 +39,6 @@ def can_rig(port, *more, operator=QUIET):
         f"can:slcan:{port}", *(more or [CONSTANT]), driver="odrive-can", sample_time=PERIOD
     )
     return HostedRig(recipe, 0.045, "test", operator, can.DRIVER)
-
-
-def perform(rig, task):
-    blocks = list(rig.perform(task))
-    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
 
 
 def test_motion_follows_its_set_points(device):

@@ -31,6 +31,7 @@ from rigtool.rigs.serial.odrive.text import (
 )
 from rigtool.rigs.serial.ports import find_devices
 from tests.cli.test_run_commands import call
+from tests.rigs.performed import perform
 from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.emulators.odrive import CLOSED_LOOP, IDLE, ODriveEmulator
 from tests.rigs.serial.recipes import serial_recipe
@@ -58,11 +59,6 @@ def odrive_rig(port, *more, operator=None, kt=KT):
         operator or replace(QUIET, yes=True),
         odrive.DRIVER,
     )
-
-
-def perform(rig, task):
-    blocks = list(rig.perform(task))
-    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
 
 
 def settings(device):

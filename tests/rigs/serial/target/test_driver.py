@@ -15,6 +15,7 @@ from rigtool.rigs.motion import CurrentRamp, CurrentSteps, SpeedProfile, Triangl
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.emulators.target import TargetEmulator
 from rigtool.signals import CHANNELS
+from tests.rigs.performed import perform
 from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.recipes import RECIPE, serial_recipe
 
@@ -38,11 +39,6 @@ def virtual():
 
 def target_rig(port, *more):
     return open_rig(serial_recipe(port, "serial.watchdog=5", *more), KT, "test", OPERATOR)
-
-
-def blocks_of(rig, task):
-    blocks = list(rig.perform(task))
-    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
 
 
 def as_stored(signals):
@@ -77,8 +73,8 @@ def test_signals_are_those_of_the_virtual_rig(log, tcp):
                     each.soak(40.0)
                     each.clamp(0.3)
                 each.move_by(0.2)
-            expected = blocks_of(direct, task)
-            assert_same(blocks_of(rig, task), expected)
+            expected = perform(direct, task)
+            assert_same(perform(rig, task), expected)
     assert server.error is None
 
 
@@ -88,11 +84,11 @@ def test_contacts_of_the_emulators_recipe_act_and_are_not_recorded():
     changed = recipe.virtual.model_copy(update={"contact": (tissue,)})
     touching = recipe.model_copy(update={"virtual": changed})
     direct = open_rig(touching, KT, "test")
-    expected = blocks_of(direct, replace(TRIANGLE, touched=True))
+    expected = perform(direct, replace(TRIANGLE, touched=True))
     assert expected.pop("reference_torque").max() > 0.01
     with serve(TargetEmulator(touching)) as server, target_rig(server.port) as rig:
         assert rig.lacks("reference_torque") is not None
-        assert_same(blocks_of(rig, TRIANGLE), expected)
+        assert_same(perform(rig, TRIANGLE), expected)
     assert server.error is None
 
 
@@ -103,7 +99,7 @@ def test_times_of_the_target_are_reported_in_the_hosts():
     ):
         motion = SpeedProfile((0.0, 0.2, 0.6), (0.0, 1.0, 0.0))
         begin = time.monotonic()
-        got = blocks_of(rig, Task(motion, record_every=8))
+        got = perform(rig, Task(motion, record_every=8))
         end = time.monotonic()
         moments = rig.line.opened + rig._host_time(got["time"])
     assert begin < moments[0] < begin + 1.0
@@ -125,7 +121,7 @@ def test_streamed_samples_are_handed_on_at_once_and_recorded_as_they_were():
     ):
         assert rig.streams
         rig.watcher = watch
-        got = blocks_of(rig, Task(SpeedProfile((0.0, 0.5, 2.0), (0.0, 3.0, 3.0))))
+        got = perform(rig, Task(SpeedProfile((0.0, 0.5, 2.0), (0.0, 3.0, 3.0))))
     assert max(late) < 12e-3  # of emulated time; what takes 8 ms together stays within 20 ms
     for name, values in got.items():
         np.testing.assert_array_equal(np.concatenate([block[name] for block in seen]), values)
@@ -138,7 +134,7 @@ def test_8_khz_stream_without_loss_and_few_questions_beside_it():
         target_rig(server.port, "serial.log=stream", "rig.attachment=pulley") as rig,
     ):
         before = replace(rig.line.counts)
-        got = blocks_of(rig, Task(SpeedProfile((0.0, 0.5, 2.0), (0.0, 3.0, 3.0))))
+        got = perform(rig, Task(SpeedProfile((0.0, 0.5, 2.0), (0.0, 3.0, 3.0))))
         facts = json.loads(rig.report())
     assert len(got["time"]) == 16000
     assert facts["missing_samples"] == facts["retries"] == 0
@@ -171,6 +167,6 @@ def test_a_record_plays_back_bit_for_bit(log, tmp_path):
             line = recipe.serial.model_copy(update={"driver": driver, "port": port})
             operator = replace(OPERATOR, spy=spy)
             with open_rig(recipe.model_copy(update={"serial": line}), KT, "test", operator) as rig:
-                signals.append(blocks_of(rig, TRIANGLE))
+                signals.append(perform(rig, TRIANGLE))
                 assert json.loads(rig.report())["retries"] > 0
     assert_same(*signals)

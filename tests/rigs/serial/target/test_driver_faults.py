@@ -15,9 +15,10 @@ from rigtool.rigs.serial.emulators.target import TargetEmulator
 from rigtool.rigs.serial.line import LineLost
 from rigtool.rigs.serial.target import protocol
 from rigtool.rigs.serial.target.link import TargetState
+from tests.rigs.performed import perform
 from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.recipes import serial_recipe
-from tests.rigs.serial.target.test_driver import KT, assert_same, blocks_of, target_rig, virtual
+from tests.rigs.serial.target.test_driver import KT, assert_same, target_rig, virtual
 
 MOTION = Task(Triangle(0.1, 1.1, 6.0, 0.2, cycles=3), Feedforward(1.5e-5), record_every=2)
 
@@ -30,7 +31,7 @@ def impatient(monkeypatch):
 
 @pytest.fixture(scope="module")
 def expected():
-    return blocks_of(open_rig(virtual(), KT, "test"), MOTION)
+    return perform(open_rig(virtual(), KT, "test"), MOTION)
 
 
 SURVIVED = {
@@ -51,7 +52,7 @@ def test_run_is_complete_and_correct_after_retries(name, log, expected):
         serve(device, *SURVIVED[name]) as server,
         target_rig(server.port, f"serial.log={log}") as rig,
     ):
-        assert_same(blocks_of(rig, MOTION), expected)
+        assert_same(perform(rig, MOTION), expected)
         facts = json.loads(rig.report())
     assert facts["retries"] > 0
     assert facts["missing_samples"] == 0
@@ -65,7 +66,7 @@ def failing(device, *faults, log="memory", task=MOTION):
         pytest.raises(HardwareError) as caught,
         target_rig(server.port, f"serial.log={log}") as rig,
     ):
-        blocks_of(rig, task)
+        perform(rig, task)
     assert server.error is None
     return caught.value
 
@@ -98,7 +99,7 @@ def test_answers_come_between_streamed_samples_on_a_line_that_is_slower_than_the
         serve(TargetEmulator(virtual())) as server,
         target_rig(server.port, "serial.log=stream", f"serial.watchdog={recipe.watchdog}") as rig,
     ):
-        assert len(blocks_of(rig, motion)["time"]) == 60000
+        assert len(perform(rig, motion)["time"]) == 60000
         facts = json.loads(rig.report())
     assert facts["retries"] == facts["missing_samples"] == 0
 
@@ -158,7 +159,7 @@ def test_motion_beyond_the_limits_is_never_sent():
     device = TargetEmulator(virtual())
     with serve(device) as server, target_rig(server.port, "serial.limits.speed=5") as rig:
         with pytest.raises(RecipeError, match=r"speed 6 rad/s beyond serial.limits.speed = 5"):
-            blocks_of(rig, MOTION)
+            perform(rig, MOTION)
         with pytest.raises(RecipeError, match="would last 1e"):
             rig.move_by(2e5)
         assert device.state is TargetState.OFF
@@ -170,7 +171,7 @@ def test_samples_that_are_gone_are_nan_and_counted(expected):
         serve(device, Fault("lose", probability=5e-5)) as server,
         target_rig(server.port, "serial.log=stream") as rig,
     ):
-        got = blocks_of(rig, MOTION)
+        got = perform(rig, MOTION)
         missing = json.loads(rig.report())["missing_samples"]
     assert missing > 0
     lost = got["current"] != got["current"]
@@ -193,7 +194,7 @@ def test_another_program_that_reads_along_costs_retries_only(expected):
     with serve(TargetEmulator(virtual())) as server, target_rig(server.port) as rig:
         thief = threading.Thread(target=steal, args=(server.port, 0.4))
         thief.start()
-        got = blocks_of(rig, MOTION)
+        got = perform(rig, MOTION)
         thief.join()
         facts = json.loads(rig.report())
     assert_same(got, expected)

@@ -19,6 +19,7 @@ from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.line import LineLost
 from rigtool.rigs.serial.target import link, protocol
 from rigtool.rigs.serial.target.link import FrameKind, Slot, TargetState
+from tests.rigs.performed import perform
 from tests.rigs.serial.emulators.firmware import Bare, Firmware, library, pointer
 from tests.rigs.serial.target import test_driver_emulator, test_driver_faults
 from tests.rigs.serial.target.test_driver import (
@@ -26,7 +27,6 @@ from tests.rigs.serial.target.test_driver import (
     SIGNAL,
     TABLE,
     as_stored,
-    blocks_of,
     target_rig,
     virtual,
 )
@@ -85,7 +85,7 @@ def test_signals_are_those_of_the_virtual_rig(log):
         for task in (*PROFILES, *STROKES):
             for each in (direct, rig):
                 each.move_by(0.2)
-            assert_alike(blocks_of(rig, task), blocks_of(direct, task), task)
+            assert_alike(perform(rig, task), perform(direct, task), task)
         assert device.difference < 1e-11
         facts = json.loads(rig.report())
     assert facts["retries"] == facts["missing_samples"] == 0
@@ -97,7 +97,7 @@ def test_floats_ask_for_the_same_currents_within_their_precision(tmp_path, monke
     monkeypatch.setattr(Bare, "c", floats)
     device = Firmware(virtual())
     with serve(device) as server, target_rig(server.port) as rig:
-        largest = max(np.abs(blocks_of(rig, task)["current_setpoint"]).max() for task in PROFILES)
+        largest = max(np.abs(perform(rig, task)["current_setpoint"]).max() for task in PROFILES)
     assert 0.0 < device.difference < 1e-3 * largest
 
 
@@ -105,7 +105,7 @@ def test_samples_are_means():
     task = replace(PROFILES[1], record_every=5)
     device, direct = Firmware(virtual()), open_rig(virtual(), KT, "test")
     with serve(device) as server, target_rig(server.port) as rig:
-        got, expected = blocks_of(rig, task), blocks_of(direct, task)
+        got, expected = perform(rig, task), perform(direct, task)
     for name in ("position_setpoint", "encoder", "current_setpoint", "table_current"):
         np.testing.assert_allclose(got[name], expected[name], rtol=1e-6, atol=1e-9)
     assert len(got["time"]) == 1120
@@ -219,7 +219,7 @@ def in_c(monkeypatch):
 @pytest.fixture
 def expected(in_c):
     with serve(Firmware(virtual())) as server, target_rig(server.port) as rig:
-        return blocks_of(rig, test_driver_faults.MOTION)
+        return perform(rig, test_driver_faults.MOTION)
 
 
 @pytest.mark.parametrize("log", ["memory", "stream"])

@@ -11,8 +11,9 @@ import pytest
 from rigtool.experiments.deploy.force_sensor import sensor_header
 from rigtool.rigs.serial.emulators.server import serve
 from tests.experiments.deploy.sensors import REACH, expected, instrument
+from tests.rigs.performed import perform
 from tests.rigs.serial.emulators.firmware import Bare, Firmware, build, library, pointer
-from tests.rigs.serial.target.test_driver import TRIANGLE, as_stored, blocks_of, target_rig, virtual
+from tests.rigs.serial.target.test_driver import TRIANGLE, as_stored, target_rig, virtual
 from tests.rigs.serial.target.test_firmware import PROFILES, STRICTER
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler cc")
@@ -44,7 +45,7 @@ def test_the_target_reads_what_the_host_reads_from_its_samples(header, monkeypat
     """On the motor of the virtual rig, with its friction and ripple."""
     monkeypatch.setattr(Bare, "c", library(header, *STRICTER, "-DWITH_SENSOR"))
     with serve(Firmware(virtual())) as server, target_rig(server.port) as rig:
-        got = blocks_of(rig, TRIANGLE)
+        got = perform(rig, TRIANGLE)
     assert server.error is None
     readings = np.empty((20000, 5))
     require_those_of_the_host(readings[: Bare.c.firmware_readings(pointer(readings))], got)
@@ -63,7 +64,7 @@ def test_over_a_pseudo_terminal_under_the_sanitizers(header):
         os.close(master)
         more = ("rig.attachment=pulley", "serial.watchdog=5")
         with target_rig(os.ttyname(slave), *more, "serial.log=stream") as rig:
-            got = blocks_of(rig, PROFILES[1])
+            got = perform(rig, PROFILES[1])
             angle = got["encoder"] * 2 * np.pi / 4000
             assert np.abs(angle - got["position_setpoint"]).max() < 0.05
         os.close(slave)
