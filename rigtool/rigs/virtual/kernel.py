@@ -12,22 +12,13 @@ Steps are those of the leapfrog method (Hairer, Lubich and Wanner, Geometric Num
 act as they stand in the middle of a step; the encoder is read at the samples. Current and ripple
 act with their means over a step. What opposes the shaft's speed in proportion is exact for
 torques held over a step (`mobility`); the bristles are implicit, which keeps them stable at any
-speed; the tendon is exact (`tendon`). SI units; temperatures in degC.
-
-Contacts at the output (grasper, or pulley without an instrument) enter its equation of motion:
-
-    M = L + F + W sin(thg) + k max(0, thg - th0) + c wg + kh (thg - thh) + ch (wg - wh) + I dwg/dt
-
-with the recipe's hanging load L, a force F, hung masses of weight W r and inertia I (the load's
-included), tissue (k, c from th0 on, never pulling) and the grip of a hand (kh, ch) that is at thh.
-M is the torque on the output, `reference_torque`. These springs and dampers are implicit, thus
-stable however stiff they are: a spring damps as k dt more than it does.
+speed; the tendon is exact (`tendon`); contacts at the output are those of `touching`. SI units;
+temperatures in degC.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,24 +34,14 @@ from rigtool.rigs.virtual.layout import (
     CURRENT_SETPOINT,
     ENCODER,
     FEEDFORWARD_CURRENT,
-    FORCE_TORQUE,
-    HAND_ANGLE,
-    HAND_SPEED,
     POSITION_SETPOINT,
     REFERENCE_TORQUE,
     SIGNAL_CURRENT,
     SLOW_STEP_SAMPLES,
     TABLE_CURRENT,
     TEMPERATURE,
-    TISSUE_ANGLE,
-    TISSUE_BEGIN,
-    TISSUE_DAMPING,
-    TISSUE_END,
-    TISSUE_STIFFNESS,
-    WEIGHT_MOMENT,
 )
-
-Record = Any  # the one element of a STATE array or of `parameters`, with its fields as attributes
+from rigtool.rigs.virtual.touching import Record, touched
 
 _follow, _model_torque, _blend = compiled(follow), compiled(model_torque), compiled(blend)
 
@@ -82,6 +63,20 @@ def _table_torque(
     along = (speed - speeds[row]) / (speeds[row + 1] - speeds[row])
     along = min(max(along, 0.0), 1.0)
     return _blend(rows.ravel(), row * count + column, count, across - column, along)
+
+
+@compiled
+def _cell(angle: float, count: int) -> tuple[int, float]:
+    """Return the cell of a turn of `count` cells that holds an angle, and where in it that is."""
+    place = angle * (1.0 / (2.0 * math.pi))
+    place = (place - np.floor(place)) * count
+    cell = min(int(place), count - 1)
+    return cell, place - cell
+
+
+@compiled
+def _torque_constant(s: Record, p: Record) -> float:
+    return p.torque_constant * (1.0 + p.torque_constant_coefficient * (s.winding_degc - 20.0))
 
 
 @compiled
@@ -133,49 +128,6 @@ def _tick(s: Record, p: Record, square_current: float, normals: Array, tick: int
 
 
 @compiled
-def _touched(
-    p: Record,
-    touch: Array,
-    tissues: Array,
-    time: float,
-    angle: float,
-    speed: float,
-    lever: float,
-    driving: float,
-    load: float,
-    inertia: float,
-) -> tuple[float, float, float]:
-    """Return the output's speed one step later, the torque that acted on it from outside, and that
-    of the contacts alone, without load and inertia.
-
-    `lever` is the sine of the angle at which weights hang, `driving` the rig's own torque on the
-    output, `load` that of the recipe's load, `inertia` the rig's with that load.
-    """
-    weight = touch[WEIGHT_MOMENT]
-    hung = weight * p.inertia_per_weight
-    total = inertia + hung
-    outside = load + touch[FORCE_TORQUE] + weight * lever
-    grip = p.grip_stiffness * (angle - touch[HAND_ANGLE]) - p.grip_damping * touch[HAND_SPEED]
-    per_speed = p.grip_damping + p.dt * p.grip_stiffness
-    push = yielding = 0.0
-    for j in range(tissues.shape[0]):
-        tissue = tissues[j]
-        depth = angle - tissue[TISSUE_ANGLE]
-        if tissue[TISSUE_BEGIN] <= time < tissue[TISSUE_END] and depth > 0.0:
-            push += tissue[TISSUE_STIFFNESS] * depth
-            yielding += tissue[TISSUE_DAMPING] + p.dt * tissue[TISSUE_STIFFNESS]
-    free = speed + p.dt * (driving - outside - grip) / total
-    after = (free - p.dt * push / total) / (1.0 + p.dt * (per_speed + yielding) / total)
-    if push + yielding * after < 0.0:  # tissue lets go
-        push = yielding = 0.0
-        after = free / (1.0 + p.dt * per_speed / total)
-    outside += grip + push + (per_speed + yielding) * after
-    contact = outside - load
-    outside += (p.load_inertia + hung) * (after - speed) / p.dt
-    return after, outside, contact
-
-
-@compiled
 def run(
     parameters: NDArray[np.void],
     state: NDArray[np.void],
@@ -214,14 +166,11 @@ def run(
     per_count = p.encoder_counts / (2.0 * math.pi)
     count = 1.0 / per_count
     map_size = rotor_map.shape[0] - 1
-    per_turn = 1.0 / (2.0 * math.pi)
     dt = p.dt
     clamped = p.clamped > 0.5
     instrument = p.instrument > 0.5
     start = s.angle
-    torque_constant = p.torque_constant * (
-        1.0 + p.torque_constant_coefficient * (s.winding_degc - 20.0)
-    )
+    torque_constant = _torque_constant(s, p)
     per_torque = 1.0 / p.assumed_torque_constant
     per_stribeck_velocity = 1.0 / p.stribeck_velocity
     per_speed = dt / p.presliding_angle
@@ -283,10 +232,7 @@ def run(
         current += p.current_step * (target - current)
         square_current += mean_current * mean_current
         # Functions of the rotor's angle
-        place = angle * per_turn
-        place = (place - np.floor(place)) * map_size
-        cell = min(int(place), map_size - 1)
-        part = place - cell
+        cell, part = _cell(angle, map_size)
         low, high = rotor_map[cell], rotor_map[cell + 1]
         offset_ripple = low[0] + part * (high[0] - low[0])
         gain_ripple = low[1] + part * (high[1] - low[1])
@@ -324,12 +270,8 @@ def run(
                 speed / p.angle_ratio - grasper_speed
             )
             sine, cosine = math.sin(grasper_angle), math.cos(grasper_angle)
-            place = grasper_angle * per_turn
-            place = (place - np.floor(place)) * map_size
-            cell = min(int(place), map_size - 1)
-            shape = friction_map[cell] + (place - cell) * (
-                friction_map[cell + 1] - friction_map[cell]
-            )
+            cell, part = _cell(grasper_angle, map_size)
+            shape = friction_map[cell] + part * (friction_map[cell + 1] - friction_map[cell])
             s.housing_bristle = _bristle(s.housing_bristle, speed, dt / p.housing_presliding_angle)
             z = s.housing_bristle
             if z * s.direction < -0.5:
@@ -359,7 +301,7 @@ def run(
             if touch is None:
                 grasper_speed += dt * (carried - tip - p.load_moment * sine) / p.grasper_inertia
             else:
-                grasper_speed, outside, s.contact = _touched(
+                grasper_speed, outside, s.contact = touched(
                     p,
                     touch[k],
                     tissues,
@@ -378,7 +320,7 @@ def run(
         if touch is None or instrument:
             speed += dt * yielding * torque
         else:
-            speed, outside, _ = _touched(
+            speed, outside, _ = touched(
                 p,
                 touch[k],
                 tissues,
@@ -422,9 +364,7 @@ def run(
         if (k + 1) % SLOW_STEP_SAMPLES == 0:
             _tick(s, p, square_current / SLOW_STEP_SAMPLES, normals, k // SLOW_STEP_SAMPLES)
             square_current = 0.0
-            torque_constant = p.torque_constant * (
-                1.0 + p.torque_constant_coefficient * (s.winding_degc - 20.0)
-            )
+            torque_constant = _torque_constant(s, p)
         if stop_angle > 0.0 and abs(angle - start) > stop_angle:
             done = k + 1
             break
