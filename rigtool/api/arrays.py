@@ -14,11 +14,8 @@ from rigtool.errors import UsageError
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
 from rigtool.experiments.running.options import CommonOptions
-from rigtool.experiments.running.session import (
-    require_inputs,
-    require_nothing_to_measure,
-    solvable,
-)
+from rigtool.experiments.running.session import solvable
+from rigtool.experiments.running.stored import require_inputs, require_nothing_to_measure
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe, load_recipe, override_recipe
 from rigtool.runfile import RecordingSpec, Run, RunWriter

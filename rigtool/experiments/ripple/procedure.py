@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 
@@ -274,7 +274,8 @@ def _constants(
         constant, note = mean_constant(kt, recorded)
         alike = [np.full((1, 1), constant.value)] * len(recorded)
         return [constant] * len(recorded), alike, note
-    falls = [math.log(begin / end) for begin, end in _constants_at(kt, degrees)]
+    at_ends = [[torque_per_ampere_at(kt, degc).value for degc in ends] for ends in degrees]
+    falls = [math.log(begin / end) for begin, end in at_ends]
     heat = winding_heat(
         [
             TurnCurrents(
@@ -307,12 +308,6 @@ def _constants(
         ]
         constants.append(combined(value, housing.unit, lines))
     return constants, by_cell, _heat_note(recorded, heat)
-
-
-def _constants_at(kt: Run, degrees: Sequence[tuple[float, float]]) -> Iterator[tuple[float, float]]:
-    """Yield the torque per ampere at both temperatures of each recording."""
-    for begin, end in degrees:
-        yield torque_per_ampere_at(kt, begin).value, torque_per_ampere_at(kt, end).value
 
 
 def _heat_note(recorded: Sequence[Recording], heat: Sequence[Lowered]) -> str:

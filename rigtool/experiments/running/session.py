@@ -6,7 +6,6 @@ A source is a recipe (measure on its rig, then analyse) or run files (analyse th
 from __future__ import annotations
 
 import logging
-import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,27 +17,21 @@ from typing import Any
 
 import numpy as np
 
-from rigtool.errors import (
-    NO_RESULT_REMEDY,
-    InsufficientDataError,
-    RecipeError,
-    RunFileError,
-    UsageError,
-)
+from rigtool.errors import NO_RESULT_REMEDY, InsufficientDataError, RecipeError, UsageError
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
 from rigtool.experiments.running.dry_run import dry_run, rehearse, require_gauges, require_offered
 from rigtool.experiments.running.lines import open_lines
 from rigtool.experiments.running.options import CommonOptions
+from rigtool.experiments.running.stored import analyse_stored, require_inputs
 from rigtool.experiments.running.terminal import open_live
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.inputs import is_recipe
 from rigtool.recipe import Recipe, load_recipe, override_recipe
 from rigtool.rigs import Block, Rig, open_rig
 from rigtool.rigs.operator import Operator
-from rigtool.runfile import RecordingSpec, Run, RunWriter, chunk_of, open_run
+from rigtool.runfile import RecordingSpec, Run, RunWriter, chunk_of
 from rigtool.runfile.outputs import require_output
-from rigtool.runfile.schema import IMPORT
 
 _log = logging.getLogger("rigtool")
 
@@ -79,8 +72,7 @@ def run_command(
     """
     recipes = [source for source in sources if is_recipe(source)]
     if not recipes:
-        require_nothing_to_measure(options)
-        return _analyse_stored(procedure, sources, output, options, inputs)
+        return analyse_stored(procedure, sources, output, options, inputs)
     if len(sources) > 1:
         raise UsageError(
             f"{len(sources)} sources with a recipe among them: give one recipe, or run files only"
@@ -96,23 +88,12 @@ def _measure(
     inputs: Mapping[str, Run],
 ) -> Outcome:
     require_inputs(procedure, inputs)
-    overrides = list(options.overrides)
-    if options.seed is not None:
-        overrides.append(f"virtual.seed={options.seed}")
-    recipe, text = load_recipe(source, overrides)
-    _log.info("recipe %s, rig %s", source, recipe.rig.name)
-    if procedure.bare_motor:
-        recipe = override_recipe(recipe, ["rig.attachment=pulley"])
+    recipe, text = _recipe_of(procedure, source, options)
     on_line = recipe.rig.source == "serial"
-    if on_line and options.seed is not None:
-        raise UsageError(f"--seed {options.seed}: this recipe's rig is on a line, not virtual")
-    if options.spy is not None and not on_line:
-        raise UsageError(f"--spy {options.spy}: this recipe's rig is virtual, there is no line")
     if options.spy is not None:
         read: list[str | Path] = [source, *(run.path for run in inputs.values())]
-        if require_output(options.spy, overwrite=options.overwrite, inputs=read) == Path(
-            os.path.realpath(output)
-        ):
+        spy = require_output(options.spy, overwrite=options.overwrite, inputs=read)
+        if spy == Path(os.path.realpath(output)):
             raise UsageError(f"--spy {options.spy}: is the output of this run: give another name")
     seed = recipe.virtual.seed if recipe.virtual is not None and not on_line else None
     kt = inputs.get("kt")
@@ -126,12 +107,7 @@ def _measure(
     plan = procedure.recordings(recipe)
     rig.use_only({channel.name for spec in plan for channel in spec.channels})
     if rig.physical:
-        # Where the program is killed, a second is lost. A virtual rig is a thousand times faster
-        # than its clock: it may lose a large chunk.
-        rates = [1 / (spec.record_every * recipe.rig.sample_time) for spec in plan]
-        plan = tuple(
-            replace(spec, chunk=chunk_of(rate)) for spec, rate in zip(plan, rates, strict=True)
-        )
+        plan = _in_small_chunks(plan, recipe)
     writer = _WatchedWriter(
         output,
         command=procedure.command,
@@ -160,6 +136,35 @@ def _measure(
         outcome = procedure.analyse([run], recipe, **inputs)
         writer.finish(outcome.results, outcome.tables, outcome.notes)
     return outcome
+
+
+def _recipe_of(procedure: Procedure, source: str, options: CommonOptions) -> tuple[Recipe, str]:
+    """Return the recipe to measure with, and its text; `UsageError` for an option that does not go
+    with its rig."""
+    overrides = list(options.overrides)
+    if options.seed is not None:
+        overrides.append(f"virtual.seed={options.seed}")
+    recipe, text = load_recipe(source, overrides)
+    _log.info("recipe %s, rig %s", source, recipe.rig.name)
+    if procedure.bare_motor:
+        recipe = override_recipe(recipe, ["rig.attachment=pulley"])
+    on_line = recipe.rig.source == "serial"
+    if on_line and options.seed is not None:
+        raise UsageError(f"--seed {options.seed}: this recipe's rig is on a line, not virtual")
+    if options.spy is not None and not on_line:
+        raise UsageError(f"--spy {options.spy}: this recipe's rig is virtual, there is no line")
+    return recipe, text
+
+
+def _in_small_chunks(plan: Sequence[RecordingSpec], recipe: Recipe) -> tuple[RecordingSpec, ...]:
+    """Return recordings of which a second is lost where the program is killed.
+
+    A virtual rig is a thousand times faster than its clock: it may lose a large chunk.
+    """
+    rates = [1 / (spec.record_every * recipe.rig.sample_time) for spec in plan]
+    return tuple(
+        replace(spec, chunk=chunk_of(rate)) for spec, rate in zip(plan, rates, strict=True)
+    )
 
 
 def _follower(
@@ -225,129 +230,6 @@ def _permit(
     require_offered(rig, plan, procedure.command)
     plan.check(recipe.line.limits)
     rig.permit(str(plan))
-
-
-def require_nothing_to_measure(options: CommonOptions) -> None:
-    """Raise `UsageError` for an option that has no meaning where signals are stored already."""
-    if options.dry_run:
-        raise UsageError("--dry-run: of stored runs nothing would move: leave it out")
-    if options.seed is not None:
-        raise UsageError(
-            f"--seed {options.seed}: a stored run has its signals, nothing is drawn: leave it out"
-        )
-    if options.spy is not None:
-        raise UsageError(f"--spy {options.spy}: stored runs need no line: leave it out")
-    if options.live is not None:
-        raise UsageError(
-            "--live draws what is recorded, of stored runs nothing is: leave it out, and draw them "
-            "with plot"
-        )
-
-
-def _analyse_stored(
-    procedure: Procedure,
-    sources: Sequence[str],
-    output: str,
-    options: CommonOptions,
-    inputs: Mapping[str, Run],
-) -> Outcome:
-    with ExitStack() as stack:
-        runs = [stack.enter_context(open_run(source)) for source in sources]
-        if runs[0].command == IMPORT and procedure.analyse_imported is not None:
-            return _analyse_imported(
-                procedure, procedure.analyse_imported, runs, output, options, inputs
-            )
-        for run in runs:
-            run.require_command(procedure.command, *procedure.accepts)
-        require_inputs(procedure, inputs)
-        recipe = runs[0].recipe
-        if recipe is None:
-            raise RunFileError(
-                f"{sources[0]}: holds no recipe, so the rig's geometry is unknown: "
-                "analyse a run that rigtool recorded"
-            )
-        recipe = _as_recorded(procedure, recipe, options.overrides)
-        with RunWriter(
-            output,
-            command=procedure.command,
-            recipe=recipe,
-            inputs=[*runs, *inputs.values()],
-            overwrite=options.overwrite,
-        ) as writer:
-            outcome = procedure.analyse(runs, recipe, **inputs)
-            writer.finish(outcome.results, outcome.tables, outcome.notes)
-    return outcome
-
-
-def _as_recorded(procedure: Procedure, recipe: Recipe, overrides: Sequence[str]) -> Recipe:
-    """Return the recipe of a stored run with other settings of its analysis.
-
-    Raises `UsageError` for a setting that contradicts how the signals were recorded.
-    """
-    for override in overrides:
-        key = override.partition("=")[0].strip()
-        if key in procedure.analysis_settings or override_recipe(recipe, [override]) == recipe:
-            continue
-        known = ", ".join(procedure.analysis_settings)
-        raise UsageError(
-            f"--set {override}: a stored run stays as it was recorded: leave this out, or measure "
-            f"again from the recipe; settings of the analysis by {procedure.command}: "
-            f"{known or 'none'}"
-        )
-    return override_recipe(recipe, overrides)
-
-
-def _analyse_imported(
-    procedure: Procedure,
-    analyse: Callable[..., Outcome],
-    runs: Sequence[Run],
-    output: str,
-    options: CommonOptions,
-    inputs: Mapping[str, Run],
-) -> Outcome:
-    """Analyse measurements of other rigs: their runs replace the recipe."""
-    for run in runs:
-        run.require_command(IMPORT)
-    settings = _imported_settings(procedure.imported_settings, options.overrides)
-    with RunWriter(
-        output,
-        command=procedure.command,
-        inputs=[*runs, *inputs.values()],
-        overwrite=options.overwrite,
-        rig=runs[0].rig,
-    ) as writer:
-        outcome = analyse(runs, **inputs, **settings)
-        writer.finish(outcome.results, outcome.tables, outcome.notes)
-    return outcome
-
-
-def _imported_settings(accepted: Mapping[str, str], overrides: Sequence[str]) -> dict[str, float]:
-    """Return the values of `--set` by the argument names of the analysis of imported runs."""
-    settings = {}
-    for override in overrides:
-        key, _, value = override.partition("=")
-        if key.strip() not in accepted:
-            raise UsageError(
-                f"{override}: imported runs have no recipe: leave this out; the mapping file "
-                "states what is known of the rig: change it there and import them again"
-            )
-        try:
-            settings[accepted[key.strip()]] = number = float(value)
-        except ValueError:
-            number = math.nan
-        if not 0 < number < math.inf:
-            raise UsageError(f"--set {override}: must be a number above 0")
-    return settings
-
-
-def require_inputs(procedure: Procedure, inputs: Mapping[str, Run]) -> None:
-    """Raise `UsageError` where an input is missing that a procedure needs."""
-    for name in procedure.needed:
-        if name not in inputs:
-            raise UsageError(
-                f"--{name} is missing: {procedure.command} needs the run of calibrate-kt, unless "
-                "all sources are imported runs"
-            )
 
 
 class _WatchedWriter(RunWriter):

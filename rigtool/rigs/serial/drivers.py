@@ -17,6 +17,8 @@ from rigtool.errors import RecipeError, did_you_mean
 from rigtool.plugins import load_entry_point, plugins
 
 if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
     from rigtool.recipe import Recipe
     from rigtool.rigs.operator import Operator
     from rigtool.rigs.serial.drive import Drive
@@ -76,7 +78,7 @@ def driver(name: str) -> Driver:
     """Import and return the driver that a recipe names; `RecipeError` for an unknown one."""
     if name in DRIVER_MODULES:
         return importlib.import_module(DRIVER_MODULES[name]).DRIVER
-    added = plugins(DRIVER_ENTRY_POINTS, frozenset({*DRIVER_MODULES, REPLAY_DRIVER}))
+    added = _added()
     if name not in added:
         known = [*driver_names(), REPLAY_DRIVER]
         raise RecipeError(
@@ -88,7 +90,9 @@ def driver(name: str) -> Driver:
 
 def driver_names() -> list[str]:
     """Return the names of all drivers, those of other packages last."""
-    return [
-        *DRIVER_MODULES,
-        *plugins(DRIVER_ENTRY_POINTS, frozenset({*DRIVER_MODULES, REPLAY_DRIVER})),
-    ]
+    return [*DRIVER_MODULES, *_added()]
+
+
+def _added() -> dict[str, EntryPoint]:
+    """Return the drivers of other packages by name; those of rigtool cannot be replaced."""
+    return plugins(DRIVER_ENTRY_POINTS, frozenset({*DRIVER_MODULES, REPLAY_DRIVER}))

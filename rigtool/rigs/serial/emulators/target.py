@@ -10,10 +10,11 @@ from collections.abc import Callable, Iterator
 
 from rigtool.errors import RigtoolError, UsageError
 from rigtool.recipe import Recipe
-from rigtool.rigs.base import Block, Feedforward, Load, Task
+from rigtool.rigs.base import Block, Task
 from rigtool.rigs.motion import Move
 from rigtool.rigs.serial.emulators.server import Emulator
 from rigtool.rigs.serial.emulators.target_log import TargetLog
+from rigtool.rigs.serial.emulators.uploads import Refused, Uploads
 from rigtool.rigs.serial.safety import Watch
 from rigtool.rigs.serial.target import link
 from rigtool.rigs.serial.target.frames import Frame, Splitter, encode
@@ -27,14 +28,6 @@ MAX_PAYLOAD = 4096
 
 VALUE_ERRORS = (RigtoolError, ValueError, ArithmeticError, struct.error)
 """Errors that impossible values cause, wherever they are used."""
-
-
-class _Refused(Exception):
-    """The request is answered with a refusal."""
-
-    def __init__(self, text: str, code: Refusal = Refusal.NOT_NOW) -> None:
-        super().__init__(text)
-        self.code = code
 
 
 class TargetEmulator(Emulator):
@@ -75,8 +68,7 @@ class TargetEmulator(Emulator):
         self._answered = (0, b"")
         self._session = False
         self._refusals = 0
-        self._objects: dict[Slot, bytes] = {}
-        self._growing: dict[Slot, bytearray] = {}
+        self._uploads = Uploads(self._log_bytes)
         self.rig: VirtualRig | None = None
         self.state, self.text = TargetState.OFF, ""
         self._fed = time.monotonic()
@@ -121,7 +113,7 @@ class TargetEmulator(Emulator):
             return answer  # done already, or refused already
         try:
             kind, payload = frame.kind | link.REPLY, self._serve(frame)
-        except _Refused as error:
+        except Refused as error:
             kind, payload = link.REFUSED, bytes([error.code]) + str(error).encode()[:200]
         answer = encode(Frame(kind, frame.sequence, payload))
         self._answered = (frame.sequence, answer)
@@ -131,22 +123,22 @@ class TargetEmulator(Emulator):
         try:
             kind = FrameKind(frame.kind)
         except ValueError:
-            raise _Refused(f"request {frame.kind} is not known", Refusal.BAD_VALUE) from None
+            raise Refused(f"request {frame.kind} is not known", Refusal.BAD_VALUE) from None
         if self._refusals:
             self._refusals -= 1
-            raise _Refused("the drive reports undervoltage", Refusal.FAULT)
+            raise Refused("the drive reports undervoltage", Refusal.FAULT)
         if kind is not FrameKind.HELLO and not self._session:
-            raise _Refused("the target was switched on or reset", Refusal.NO_SESSION)
+            raise Refused("the target was switched on or reset", Refusal.NO_SESSION)
         try:
             return self._handlers()[kind](frame.payload)
         except VALUE_ERRORS as error:
-            raise _Refused(f"{kind.name}: {error}", Refusal.BAD_VALUE) from error
+            raise Refused(f"{kind.name}: {error}", Refusal.BAD_VALUE) from error
 
     def _handlers(self) -> dict[FrameKind, Callable[[bytes], bytes]]:
         return {
             FrameKind.HELLO: self._hello,
-            FrameKind.BEGIN: self._begin,
-            FrameKind.CHUNK: self._chunk,
+            FrameKind.BEGIN: self._uploads.begin,
+            FrameKind.CHUNK: self._uploads.chunk,
             FrameKind.COMMIT: self._commit,
             FrameKind.ARM: self._arm,
             FrameKind.START: self._start,
@@ -181,30 +173,10 @@ class TargetEmulator(Emulator):
             TARGET_NAME,
         ).pack()
 
-    def _begin(self, payload: bytes) -> bytes:
-        slot, size = link.BEGIN.unpack(payload)
-        if size > self._log_bytes:
-            raise _Refused(f"no memory for an object of {size} bytes", Refusal.BAD_VALUE)
-        self._growing[Slot(slot)] = bytearray(size)
-        return b""
-
-    def _chunk(self, payload: bytes) -> bytes:
-        slot, offset = link.CHUNK.unpack_from(payload)
-        data, whole = payload[link.CHUNK.size :], self._growing.get(Slot(slot))
-        if whole is None or offset + len(data) > len(whole):
-            raise _Refused(f"CHUNK at {offset} of slot {slot} does not fit the size of BEGIN")
-        whole[offset : offset + len(data)] = data
-        return b""
-
     def _commit(self, payload: bytes) -> bytes:
-        number, size, crc = link.COMMIT.unpack(payload)
-        slot = Slot(number)
-        data = bytes(self._growing.get(slot, b""))
-        if len(data) != size or zlib.crc32(data) != crc:
-            raise _Refused(f"slot {number}: its CRC-32 is not that of COMMIT", Refusal.BAD_CRC)
+        slot, data = self._uploads.whole(payload)
         self._take(slot, data)
-        self._objects[slot] = data
-        self._growing.pop(slot, None)
+        self._uploads.keep(slot, data)
         return b""
 
     def _take(self, slot: Slot, data: bytes) -> None:
@@ -239,29 +211,25 @@ class TargetEmulator(Emulator):
     def _arm(self, payload: bytes) -> bytes:
         every, stop_angle, mask, streams = link.ARM.unpack(payload)
         if every == 0 or mask & ~link.mask_of(self._channels) or not mask & 1:
-            raise _Refused("ARM asks for unknown channels, or every 0th sample")
-        missing = [
-            slot.name
-            for slot in (Slot.RIG, Slot.LIMITS, Slot.CONTROLLER, Slot.MOTION)
-            if slot not in self._objects
-        ]
-        if missing:
-            raise _Refused(f"ARM before {', '.join(missing)} were uploaded")
-        self._task = task = self._make_task(every, link.stop_angle(stop_angle))
-        self._limits, _ = link.unpack_limits(self._objects[Slot.LIMITS])
+            raise Refused("ARM asks for unknown channels, or every 0th sample")
+        self._uploads.require_motion()
+        virtual = self._recipe.virtual
+        touched = virtual is not None and bool(virtual.contact)
+        self._task = task = self._uploads.task(every, link.stop_angle(stop_angle), touched=touched)
+        self._limits = self._uploads.limits()
         if task.motion.duration > self._limits.duration:
-            raise _Refused(
+            raise Refused(
                 f"the motion lasts {task.motion.duration:g} s, the limit is "
                 f"{self._limits.duration:g} s"
             )
         if task.start is not None:
             self._require_within(task.start)
         log = TargetLog(mask, keeps=self._keeps_log or not streams, streams=bool(streams))
-        dt = link.RigSetup.unpack(self._objects[Slot.RIG]).sample_time
+        dt = self._uploads.sample_time()
         samples = round(task.motion.duration / dt) // every
         needed = samples * log.sample.itemsize
         if not streams and needed > self._log_bytes:
-            raise _Refused(
+            raise Refused(
                 f"the log would take {needed} bytes, there are {self._log_bytes}: record less "
                 "often, or stream"
             )
@@ -270,29 +238,9 @@ class TargetEmulator(Emulator):
         self.state, self.text = TargetState.ARMED, ""
         return link.ARMED.pack(samples, log.sample.itemsize)
 
-    def _make_task(self, every: int, stop_angle: float | None) -> Task:
-        objects = self._objects
-        nothing = link.floats(0.0, 0.0, 0.0)
-        inertia, coulomb, viscous = link.read_floats(
-            objects.get(Slot.FEEDFORWARD, nothing)
-        ).tolist()
-        signal = link.read_floats(objects.get(Slot.SIGNAL, b""))
-        added = Feedforward(
-            inertia,
-            coulomb,
-            viscous,
-            link.unpack_table(objects.get(Slot.TABLE, b"")),
-            signal if signal.size else None,
-        )
-        load = link.unpack_load(objects[Slot.LOAD]) if Slot.LOAD in objects else Load()
-        virtual = self._recipe.virtual
-        touched = virtual is not None and bool(virtual.contact)
-        motion = link.unpack_motion(objects[Slot.MOTION])
-        return Task(motion, added, load, every, stop_angle, touched)
-
     def _start(self, payload: bytes) -> bytes:
         if self.state is not TargetState.ARMED:
-            raise _Refused("START without ARM")
+            raise Refused("START without ARM")
         self._watch = Watch(self._limits, self._recipe.rig.encoder_counts)
         self._signals = self._rig().perform(self._task)
         self._started = time.monotonic()
@@ -321,7 +269,7 @@ class TargetEmulator(Emulator):
         first, count = link.READ.unpack(payload)
         data = self._samples(first, count)
         if len(data) + link.FIRST.size > MAX_PAYLOAD:
-            raise _Refused(f"READ of {count} samples is more than a frame holds")
+            raise Refused(f"READ of {count} samples is more than a frame holds")
         return link.FIRST.pack(first) + data
 
     def _digest(self, payload: bytes) -> bytes:
@@ -329,7 +277,7 @@ class TargetEmulator(Emulator):
 
     def _samples(self, first: int, count: int) -> bytes:
         if first < self._log.first or first + count > self._visible:
-            raise _Refused(
+            raise Refused(
                 f"samples {first} to {first + count} are not in the log: it holds "
                 f"{self._log.first} to {self._visible}"
             )
@@ -343,16 +291,13 @@ class TargetEmulator(Emulator):
         return b""
 
     def _require_within(self, position: float) -> None:
-        if Slot.LIMITS not in self._objects:
-            raise _Refused("upload slot LIMITS first")
-        limits, _ = link.unpack_limits(self._objects[Slot.LIMITS])
-        low, high = limits.position
+        low, high = self._uploads.limits().position
         if not low <= position <= high:
-            raise _Refused(f"position {position:g} rad is beyond {low:g} to {high:g} rad")
+            raise Refused(f"position {position:g} rad is beyond {low:g} to {high:g} rad")
 
     def _move_by(self, payload: bytes) -> bytes:
         if self.state is TargetState.RUNNING:
-            raise _Refused("MOVE while a motion runs")
+            raise Refused("MOVE while a motion runs")
         (angle,) = link.read_floats(payload).tolist()
         self._require_within(self._rig().position + angle)
         self._move = angle
@@ -362,7 +307,7 @@ class TargetEmulator(Emulator):
 
     def _bench(self, payload: bytes, what: str) -> bytes:
         if self.state is TargetState.RUNNING:
-            raise _Refused(f"{what} while a motion runs")
+            raise Refused(f"{what} while a motion runs")
         (value,) = link.read_floats(payload).tolist()
         getattr(self._rig(), what)(value)
         return b""
@@ -378,7 +323,7 @@ class TargetEmulator(Emulator):
 
     def _rig(self) -> VirtualRig:
         if self.rig is None:
-            raise _Refused("upload slot RIG first")
+            raise Refused("upload slot RIG first")
         return self.rig
 
     # -- running
