@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 CHANNELS: dict[str, tuple[str, str, str]] = {
     "time": ("s", "f8", "bench clock"),
     "position_setpoint": ("rad", "f8", "set point of the motor shaft"),
@@ -55,3 +57,8 @@ def units_of(name: str) -> tuple[str, ...]:
     rotary, linear, _ = SIGNALS.get(name, (None, None, None))
     units = (rotary, linear, CHANNELS[name][0] if name in CHANNELS else None)
     return tuple(dict.fromkeys(unit for unit in units if unit is not None))
+
+
+def is_name(name: str) -> bool:
+    """Return whether a name can stand for a recording, signal, table, column or result."""
+    return re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]{0,99}", name) is not None

@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import click
 
 from rigtool.cli.options import FILE_ARGUMENT, command_with, current_output, output_option
+
+if TYPE_CHECKING:
+    from rigtool.runfile.importers import Import
+
+FILES_NAMED = 5
+"""Most files left out that a note names."""
 
 
 @command_with(
@@ -36,7 +44,7 @@ def command(
     with exit code 3: the message names its lines, and nothing is written.
     """
     from rigtool.recipe.mapping import load_mapping
-    from rigtool.runfile.importers import first_of, import_files
+    from rigtool.runfile.importers import import_files
     from rigtool.runfile.importers.preview import preview as show
 
     mapping = None if map_path is None else load_mapping(map_path)
@@ -63,6 +71,20 @@ def command(
     for item in found.done:
         left_out = f", {item.left_out} bad ones left out" if item.left_out else ""
         to.written(item.output, f"run of import, {item.samples} samples{left_out}")
+    notes = _notes(found)
+    for line in notes:
+        to.note(f"Note: {line}")
+    runs_written = [
+        {"output": str(one.output), "samples": one.samples, "left_out": one.left_out}
+        for one in found.done
+    ]
+    to.document(output=output, runs=runs_written, notes=notes)
+
+
+def _notes(found: Import) -> list[str]:
+    """Return what was left out, and the notes of runs, each with the runs that it is about."""
+    from rigtool.runfile.importers import first_of
+
     notes = [f"left out: {first_of(error)}" for error in found.bad.values()]
     if others := found.of_other_names:
         names = ", ".join(path.name for path in others[:FILES_NAMED])
@@ -76,14 +98,4 @@ def command(
     for note, runs in by_note.items():
         more = f" and {len(runs) - 1} more" if len(runs) > 1 else ""
         notes.append(f"{runs[0]}{more}: {note}")
-    for line in notes:
-        to.note(f"Note: {line}")
-    runs_written = [
-        {"output": str(one.output), "samples": one.samples, "left_out": one.left_out}
-        for one in found.done
-    ]
-    to.document(output=output, runs=runs_written, notes=notes)
-
-
-FILES_NAMED = 5
-"""Most files left out that a note names."""
+    return notes

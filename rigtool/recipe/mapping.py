@@ -16,14 +16,12 @@ from rigtool.errors import RecipeError
 from rigtool.recipe.base import Section
 from rigtool.recipe.load import parse_toml, read_document, validate
 from rigtool.recipe.units import DATE, RATED, UNITS, ZEROS, require_unit, unit_name
-from rigtool.signals import SIGNALS
+from rigtool.signals import SIGNALS, is_name
 
 MAPPING_VERSION = 1
 
 CONSTANT_SPEED = "constant_speed"
 """Condition that states the speed of a recording without position or speed, rad/s."""
-
-_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,99}")
 
 RIG_CONDITIONS = {
     "encoder_counts": "count",
@@ -209,7 +207,7 @@ class Condition(Section):
     def _is_one(self) -> Self:
         if sum(given is not None for given in (self.pattern, self.column, self.value)) != 1:
             raise ValueError("give one of `pattern`, `column` and `value`")
-        if not _NAME.fullmatch(self.name):
+        if not is_name(self.name):
             raise ValueError("name: use letters, digits and underscores, not a digit first")
         if self.name == CONSTANT_SPEED and self.si_unit != "rad/s":
             raise ValueError(f"{CONSTANT_SPEED} is a speed: give its unit, e.g. rpm")
@@ -261,7 +259,7 @@ class Map(Section):
         angle = self.angle
         if angle is not None and angle.counts_per_turn is None and UNITS[angle.unit][1] != "rad":
             raise ValueError("angle: give an angle, or counts with counts_per_turn")
-        if not _NAME.fullmatch(self.signal):
+        if not is_name(self.signal):
             raise ValueError("signal: use letters, digits and underscores, not a digit first")
         return self
 
@@ -289,7 +287,7 @@ class Mapping(Section):
         if self.map is not None and any(item.column is not None for item in self.conditions):
             raise ValueError("a map is not split: give conditions by `pattern` or `value`")
         for name, signal in self.signals.items():
-            if not _NAME.fullmatch(name) or name == "conditions":
+            if not is_name(name) or name == "conditions":
                 raise ValueError(f"signal name {name!r}: use letters, digits and underscores")
             if signal.unit == RATED and self.rig.rated_torque is None:
                 raise ValueError(f"signal {name}: its unit needs rated_torque in [rig]")

@@ -17,6 +17,7 @@ from rigtool.quantity import Quantity
 from rigtool.runfile import provenance, schema
 from rigtool.runfile.model import RecordingSpec, Table
 from rigtool.runfile.objects import make_array, make_group, make_number, make_text, set_attribute
+from rigtool.signals import is_name
 
 
 def write_head(
@@ -78,7 +79,7 @@ def _point_to(entry: h5py.Group, name: str, parent: str) -> None:
 
 
 def _write_result(parent: h5py.Group, name: str, quantity: Quantity) -> None:
-    if not schema.is_name(name):
+    if not is_name(name):
         raise ValueError(f"result name {name!r}: use letters, digits and underscores")
     dataset = make_number(parent, name, quantity.value, quantity.unit)
     if quantity.u is not None:
@@ -113,7 +114,7 @@ def _write_recording(parent: h5py.Group, spec: RecordingSpec) -> None:
 
 
 def _write_table(parent: h5py.Group, name: str, table: Table) -> None:
-    if not schema.is_name(name):
+    if not is_name(name):
         raise ValueError(f"table name {name!r}: use letters, digits and underscores")
     group = make_group(parent, name, "NXdata")
     same_shape = [

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.runfile import schema
+from rigtool.signals import is_name
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -201,7 +202,7 @@ def description_of(attributes: Mapping[str, Any]) -> str:
 
 def _require_names(what: str, names: Iterable[str]) -> None:
     for name in names:
-        if not schema.is_name(name):
+        if not is_name(name):
             raise ValueError(
                 f"{what} name {name!r}: use letters, digits and underscores, not a digit first"
             )

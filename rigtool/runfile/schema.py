@@ -7,7 +7,6 @@ adds elements that older readers may ignore; older readers refuse a new major ve
 from __future__ import annotations
 
 import math
-import re
 from typing import Any
 
 import numpy as np
@@ -84,13 +83,6 @@ MAX_COMPRESSION = 1100
 LARGEST_NUMBER = 1e30
 """Largest sample, result or entry of a table that a command computes with, in SI units: far beyond
 any rig, and its powers stay numbers."""
-
-_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,99}")
-
-
-def is_name(name: str) -> bool:
-    """Return whether a name can stand for a recording, channel, table, column or result."""
-    return _NAME.fullmatch(name) is not None
 
 
 def version_text() -> str:

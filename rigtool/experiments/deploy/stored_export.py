@@ -17,8 +17,6 @@ from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.runfile import Run
 from rigtool.runfile.export import write_new
 
-LEARNING_COMMAND = "ilc-learn"
-
 SENSOR_FORMAT = "c-sensor"
 """Format of the force model that was learned beside the table."""
 
@@ -48,7 +46,7 @@ def chosen_format(run: Run, output: Path, part: str | None, wanted: str | None) 
     """
     ending = output.suffix
     if wanted is None:
-        alone = run.command == LEARNING_COMMAND and ending == ".csv" and part is None
+        alone = run.command == "ilc-learn" and ending == ".csv" and part is None
         if not alone and ending not in (".h", ".json", ".cfg"):
             return None
         wanted = next(name for name, endings in EXPORT_FORMATS.items() if ending in endings)

@@ -40,7 +40,8 @@ def sensor(tables: Run, kt: Run | None) -> tuple[str, tuple[str, ...], list[Path
     require_calibration(kt, recipe)
     reach = reach_of(tables, kt)
     instrument = instrument_of(recipe, kt, model, reach, recipe.rig.sample_time)
-    origin = (*origin_of(tables), *_about(recipe, reach), *_calibration(kt))
+    calibration = f"Torque constant of {kt.path.name}, content sha256 {kt.content_sha256}."
+    origin = (*origin_of(tables), *_about(recipe, reach), calibration)
     try:
         text = sensor_header(instrument, COVERAGE_FACTOR, origin)
     except ValueError as error:
@@ -60,7 +61,3 @@ def _about(recipe: Recipe, reach: Reach) -> tuple[str, ...]:
         f"No value outside {low:.4g} to {high:.4g} rad of the motor, {reach.speed:.4g} rad/s, "
         f"{reach.torque * 1e3:.4g} mN m and {cold:g} to {warm:g} degC.",
     )
-
-
-def _calibration(kt: Run) -> tuple[str, ...]:
-    return (f"Torque constant of {kt.path.name}, content sha256 {kt.content_sha256}.",)

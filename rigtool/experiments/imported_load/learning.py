@@ -18,11 +18,7 @@ from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_filter.motion_states import LARGEST_LEARNED_RATIO, State
-from rigtool.experiments.imported_load.basis import (
-    LoadSignals,
-    Scales,
-    find_scales,
-)
+from rigtool.experiments.imported_load.basis import LoadSignals, Scales, find_scales
 from rigtool.experiments.imported_load.loop import learn_loop
 from rigtool.experiments.imported_load.model import (
     APART_STROKE,
@@ -39,11 +35,16 @@ from rigtool.experiments.imported_load.region import (
     cell_means,
     learn_region,
 )
-from rigtool.experiments.imported_load.side import INTERVAL_COVERAGE, Fit, HeldOut, Rows, groups_for
+from rigtool.experiments.imported_load.side import (
+    INTERVAL_COVERAGE,
+    Fit,
+    HeldOut,
+    Numbers,
+    Rows,
+    groups_for,
+)
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.jackknife import standard_uncertainty
-
-Numbers = NDArray[np.intp]
 
 MAX_FOLDS = 10
 """Parts into which levels are put that are left out together, at most."""

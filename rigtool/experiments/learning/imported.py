@@ -19,11 +19,7 @@ from rigtool.experiments.imported import rotary_recordings
 from rigtool.experiments.learning.rows import Amplitudes
 from rigtool.experiments.learning.stored_table import period_results, tables_of
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.ripple.imported_groups import (
-    RepeatedRuns,
-    groups_of,
-    turns_of,
-)
+from rigtool.experiments.ripple.imported_groups import RepeatedRuns, groups_of, turns_of
 from rigtool.experiments.ripple.imported_maps import SAME_MAP_VARIANCE, read_maps
 from rigtool.experiments.ripple.orders import (
     NEIGHBOURING_ORDERS,

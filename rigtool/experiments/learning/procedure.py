@@ -24,9 +24,6 @@ from rigtool.runfile import RecordingSpec, Run, RunWriter
 if TYPE_CHECKING:
     from rigtool.experiments.learning.implementations.skeleton import Implementation
 
-COMMAND = "ilc-learn"
-
-
 IMPLEMENTATIONS = {
     "A": ("a_one_speed", "OneSpeed"),
     "B": ("b_all_speeds", "AllSpeeds"),
@@ -123,7 +120,7 @@ def _analyse_imported(
 
 
 PROCEDURE = Procedure(
-    COMMAND,
+    "ilc-learn",
     recordings,
     measure,
     analyse,

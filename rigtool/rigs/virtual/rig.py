@@ -200,11 +200,8 @@ class VirtualRig(Rig):
         ff = task.feedforward
         signal = np.zeros(0) if ff.signal is None else np.ascontiguousarray(ff.signal, np.float64)
         total = round(motion.duration / dt)
-        block = (
-            layout.SLOW_STEP_SAMPLES
-            * every
-            * max(1, BLOCK_SAMPLES // (layout.SLOW_STEP_SAMPLES * every))
-        )
+        shortest = layout.SLOW_STEP_SAMPLES * every
+        block = shortest * max(1, BLOCK_SAMPLES // shortest)
         for first in range(0, total, block):
             count = min(block, total - first)
             steps = np.arange(first, first + count if needs_time else first, dtype=np.float64)
@@ -233,12 +230,7 @@ class VirtualRig(Rig):
                 None if outside is None else outside.at(time),
                 np.zeros((0, 5)) if outside is None else outside.tissues(),
             )
-            moving = [self._state[0][name] for name in ("angle", "grasper_angle", "winding_degc")]
-            if not np.isfinite(moving).all():
-                raise RecipeError(
-                    "the equations of [virtual] left all bounds while they were simulated: its "
-                    "values are beyond any rig; compare them with `rigtool recipe briaire-2006`"
-                )
+            self._require_bounds()
             if closed_loop:
                 self._setpoint = float(self._state["setpoint"][0])
             recorded = self._recorded(out[: done // every], every, task.load, rng)
@@ -248,6 +240,14 @@ class VirtualRig(Rig):
             self._time += done * dt
             if done < count:
                 return
+
+    def _require_bounds(self) -> None:
+        moving = [self._state[0][name] for name in ("angle", "grasper_angle", "winding_degc")]
+        if not np.isfinite(moving).all():
+            raise RecipeError(
+                "the equations of [virtual] left all bounds while they were simulated: its "
+                "values are beyond any rig; compare them with `rigtool recipe briaire-2006`"
+            )
 
     def _outside(self, task: Task, grip: Motion | None, seed: list[int]) -> Outside | None:
         """Return the contacts on the output during a task; None without any."""

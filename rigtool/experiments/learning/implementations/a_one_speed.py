@@ -17,16 +17,8 @@ from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.learning.filters import Learning
 from rigtool.experiments.learning.implementations import bare_motor
-from rigtool.experiments.learning.implementations.bare_motor import (
-    BareMotor,
-    Turned,
-    learned_by,
-)
-from rigtool.experiments.learning.implementations.runs import (
-    kind_of,
-    last_update,
-    runs_at_most,
-)
+from rigtool.experiments.learning.implementations.bare_motor import BareMotor, Turned, learned_by
+from rigtool.experiments.learning.implementations.runs import kind_of, last_update, runs_at_most
 from rigtool.experiments.learning.implementations.skeleton import TaughtTable
 from rigtool.experiments.learning.procedure_design import FilterDesign
 from rigtool.experiments.learning.rows import Amplitudes, Row

@@ -16,16 +16,8 @@ import numpy as np
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.experiments.learning.implementations import bare_motor
-from rigtool.experiments.learning.implementations.bare_motor import (
-    BareMotor,
-    Turned,
-    learned_by,
-)
-from rigtool.experiments.learning.implementations.runs import (
-    kind_of,
-    last_update,
-    runs_at_most,
-)
+from rigtool.experiments.learning.implementations.bare_motor import BareMotor, Turned, learned_by
+from rigtool.experiments.learning.implementations.runs import kind_of, last_update, runs_at_most
 from rigtool.experiments.learning.implementations.skeleton import TaughtTable
 from rigtool.experiments.learning.rows import Amplitudes, Row, fit_amplitudes
 from rigtool.experiments.learning.turns import TURN, repeatable_row, turn_angles
