@@ -188,6 +188,20 @@ def test_each_difference_is_reported(tmp_path, what, expected):
     assert len(found) <= 2
 
 
+def test_of_runs_of_different_commands_the_rest_is_counted(tmp_path):
+    def another(results):
+        value = results.pop("arm_length")
+        results |= {"new": value, "newer": value}
+
+    path = write(tmp_path / "a.h5", size=9000)
+    other = changed(tmp_path, command="fft-ripple", results=another)
+    common = len(RESULTS) - 1
+    assert lines(path, other) == [
+        "command: stribeck | fft-ripple",
+        f"results: 1 only in the first, 2 only in the second, {common} in both",
+    ]
+
+
 def test_runs_of_different_length(tmp_path):
     a, b = write(tmp_path / "a.h5", size=9000), write(tmp_path / "b.h5", size=9001)
     assert lines(a, b) == [
