@@ -146,6 +146,17 @@ def test_an_analysis_differs_in_results_and_tables_only(tmp_path):
         assert "recordings/sweep: only in the first" in differences(o, b, Tolerance())
 
 
+def test_tables_that_were_forgotten_are_read_again(tmp_path):
+    with open_run(write(tmp_path / "a.h5", size=100)) as run:
+        before = run.tables
+        run.forget_tables()
+        assert run.tables is not before
+        assert list(run.tables) == list(before)
+        for name, table in before.items():
+            for column in table.columns:
+                np.testing.assert_array_equal(run.tables[name][column], table[column])
+
+
 def test_a_run_does_not_differ_from_itself(tmp_path):
     path = write(tmp_path / "a.h5", size=9000)
     assert lines(path, path) == []

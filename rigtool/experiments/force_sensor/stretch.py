@@ -223,6 +223,11 @@ class Stretch:
         def judged_rows(values: Array) -> Array:
             return np.where(judged[rows], values[rows], np.nan)  # the steps' memory goes
 
+        referred_rows: list[Array | None] = [None, None]
+        if reference is not None:
+            filters = held_lowpass, delayed
+            referred_rows = [judged_rows(f(rate, reference, corner_hz)) for f in filters]
+        give_back()
         return [
             TorqueRows(
                 self._name,
@@ -234,11 +239,9 @@ class Stretch:
                 self._taken("causal"),
                 self._taken("causal_u"),
                 causal_states.astype(np.int32),
-                None
-                if reference is None
-                else judged_rows(held_lowpass(rate, reference, corner_hz)),
+                referred_rows[0],
                 self._limited,
-                None if reference is None else judged_rows(delayed(rate, reference, corner_hz)),
+                referred_rows[1],
                 contacts,
                 every,
                 response=None
@@ -273,8 +276,9 @@ class Stretch:
             part = slice(first, first + PIECE_STEPS)
             ripple, variance, _ = again(angle[part].astype(np.float64), torque[part])
             torque[part] -= ripple - factor * less[part]
-            added.append(ripple[-first % every :: every])
-            variances.append(variance[-first % every :: every])
+            rows = slice(-first % every, None, every)
+            added.append(ripple[rows].copy())  # the steps' memory goes
+            variances.append(variance[rows].copy())
         corner_hz, step_time = instrument.corner_hz, instrument.grid.step_time
         deviation = without_delay(self._taken("u"), corner_hz, step_time)
         ahead = weight_ahead(1 / step_time, len(deviation), corner_hz)
