@@ -97,7 +97,7 @@ def read_recording(
     counts = round(moved / instrument.count)
     parts: list[TorqueRows] = []
     breaks, read, done = -1, 0.0, 0
-    with ThreadPoolExecutor(2) as workers:
+    with ThreadPoolExecutor(1) as smoothing, ThreadPoolExecutor(1) as testing:
         stretch: Stretch | None = None
         for block, begins in unbroken_blocks(recording, instrument):
             if begins:
@@ -114,7 +114,7 @@ def read_recording(
                     instrument,
                     began,
                     left,
-                    workers,
+                    (smoothing, testing),
                     commanded=recording.has("position_setpoint"),
                 )
             done += block.shape[1]
