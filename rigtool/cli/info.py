@@ -32,9 +32,9 @@ def command(path: str, plot: str | None, budget: str | None) -> None:
     rate and duration; tables and remarks. Or the uncertainty budget of one result: its components,
     their values, sensitivities, contributions, degrees of freedom and shares of the variance.
     """
-    from rigtool.cli.output import quantity_document
+    from rigtool.cli.output import quantity_document, width
     from rigtool.runfile import open_run
-    from rigtool.runfile.summary import budget_lines
+    from rigtool.runfile.summary import budget_lines, folded
 
     to = current_output()
     with open_run(path) as run:
@@ -42,7 +42,7 @@ def command(path: str, plot: str | None, budget: str | None) -> None:
             found = _result(run, budget)
             results = {budget: quantity_document(found)}
             to.document(command=run.command, rig=run.rig, results=results)
-            to.line("\n".join(budget_lines(budget, found)))
+            to.line("\n".join(budget_lines(budget, found, width())))
             return
         if plot is not None:
             from rigtool.report.default_plot import write_plot
@@ -52,7 +52,7 @@ def command(path: str, plot: str | None, budget: str | None) -> None:
             shown = write_plot(run, plot, overwrite=to.overwrite)
             to.written(plot, f"plot of {shown}")
         to.run(run, None)
-        to.line("\n".join(run.summary()))
+        to.line("\n".join(folded(run.summary(), width())))
 
 
 def _result(run: Run, name: str) -> Quantity:

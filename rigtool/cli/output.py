@@ -7,6 +7,7 @@ runs. Results go to stdout, all else to stderr.
 from __future__ import annotations
 
 import contextlib
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -34,6 +35,13 @@ def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
     """
     with contextlib.suppress(*([OSError] if err else [])):
         click.echo(terminal(text), err=err, nl=nl)
+
+
+def width() -> int | None:
+    """Return the columns of the terminal that stdout is; None where it is none."""
+    import shutil
+
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
 @dataclass

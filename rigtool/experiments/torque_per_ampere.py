@@ -184,16 +184,16 @@ def mean_constant(kt: Run, recordings: Sequence[Recording] = ()) -> tuple[Quanti
     if abs(away) > _known_error(kt):
         return constant, (
             f"torque by the mean torque constant, {constant.value * 1e3:.4g} mN m/A, but the motor "
-            f"had {degc:.3g} degC, where the constant is {abs(away):.2%} "
+            f"had {degc:.3g} degC, where the constant is {100 * abs(away):.2f} % "
             f"{'below' if away < 0 else 'above'} it: torques are read too "
             f"{'high' if away < 0 else 'low'} by that; the standard uncertainty, "
-            f"{(constant.u or 0.0) / constant.value:.2%}, includes it; widen "
+            f"{100 * (constant.u or 0.0) / constant.value:.2f} %, includes it; widen "
             "calibrate_kt.reference_range_degc, or let the motor cool"
         )
     return constant, (
         f"torque by the mean torque constant, {constant.value * 1e3:.4g} mN m/A; its standard "
-        f"uncertainty, {(constant.u or 0.0) / constant.value:.2%}, includes its change over the "
-        "temperatures of the calibration"
+        f"uncertainty, {100 * (constant.u or 0.0) / constant.value:.2f} %, includes its change "
+        "over the temperatures of the calibration"
     )
 
 

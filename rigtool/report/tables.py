@@ -213,7 +213,7 @@ def budget_tables(run: Run, label: str) -> list[ReportTable]:
                 sensitivity,
                 contribution,
                 Cell("inf", None) if line.dof is None else number_cell(line.dof, ".3g", 1),
-                Cell(f"{share:.1%}", share),
+                Cell(f"{100 * share:.1f} %", share),
             )
         )
     dof = "inf" if quantity.dof is None else f"{quantity.dof:.3g}"

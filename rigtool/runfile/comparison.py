@@ -35,13 +35,19 @@ def differences(a: Run, b: Run, tolerance: Tolerance) -> Iterator[str]:
     """Yield one line for each result, table column or channel that does not agree.
 
     An analysis of a stored run keeps no signals: between a run and an analysis of it, only results
-    and tables are compared.
+    and tables are compared. Between runs of different commands, what only one of them has is
+    counted instead of named.
     """
+    missing = _missing
     if a.command != b.command:
         yield f"command: {a.command} | {b.command}"
+        missing = _counted
+    yield from missing("results", a.results, b.results)
     yield from _results(a.results, b.results, tolerance)
+    yield from missing("tables", a.tables, b.tables)
     yield from _tables(a.tables, b.tables, tolerance)
     if not (_analyses(a, b) or _analyses(b, a)):
+        yield from missing("recordings", a.recordings, b.recordings)
         yield from _recordings(a.recordings, b.recordings, tolerance)
 
 
@@ -54,7 +60,6 @@ def _analyses(a: Run, b: Run) -> bool:
 def _results(
     a: Mapping[str, Quantity], b: Mapping[str, Quantity], tolerance: Tolerance
 ) -> Iterator[str]:
-    yield from _missing("results", a, b)
     for name in _common(a, b):
         one, other = a[name], b[name]
         where = f"results/{name}"
@@ -77,7 +82,6 @@ def _significance(a: Quantity, b: Quantity) -> str:
 
 
 def _tables(a: Mapping[str, Table], b: Mapping[str, Table], tolerance: Tolerance) -> Iterator[str]:
-    yield from _missing("tables", a, b)
     for name in _common(a, b):
         one, other = a[name].columns, b[name].columns
         yield from _missing(f"tables/{name}", one, other)
@@ -95,7 +99,6 @@ def _tables(a: Mapping[str, Table], b: Mapping[str, Table], tolerance: Tolerance
 def _recordings(
     a: Mapping[str, Recording], b: Mapping[str, Recording], tolerance: Tolerance
 ) -> Iterator[str]:
-    yield from _missing("recordings", a, b)
     for name in _common(a, b):
         one, other = a[name], b[name]
         where = f"recordings/{name}"
@@ -152,3 +155,10 @@ def _missing(where: str, a: Mapping[str, object], b: Mapping[str, object]) -> It
     for name in b:
         if name not in a:
             yield f"{where}/{name}: only in the second"
+
+
+def _counted(where: str, a: Mapping[str, object], b: Mapping[str, object]) -> Iterator[str]:
+    both = len(_common(a, b))
+    if both < max(len(a), len(b)):
+        only = f"{len(a) - both} only in the first, {len(b) - both} only in the second"
+        yield f"{where}: {only}, {both} in both"

@@ -50,10 +50,22 @@ class Run:
             name: Recording(file, group, self.path)
             for name, group in _members(entry, schema.RECORDINGS).items()
         }
-        tables = {name: _table(group) for name, group in _members(entry, schema.TABLES).items()}
+        self._tables: Mapping[str, Table] | None = _tables(entry)
         self.recordings: Mapping[str, Recording] = MappingProxyType(recordings)
         self.results: Mapping[str, Quantity] = MappingProxyType(_results(entry))
-        self.tables: Mapping[str, Table] = MappingProxyType(tables)
+
+    @property
+    def tables(self) -> Mapping[str, Table]:
+        """The tables by name; read again once they were forgotten."""
+        if self._tables is None:
+            with guard(self.path, "the file"), self._file.use() as file:
+                self._tables = _tables(tree.read_tree(file, f"/{schema.ENTRY}"))
+        return self._tables
+
+    def forget_tables(self) -> None:
+        """Free the memory of the tables until they are used: an hour of force over time has 70 MB
+        of them, and an analysis of its signals uses none."""
+        self._tables = None
 
     @cached_property
     def recipe(self) -> Recipe | None:
@@ -256,6 +268,11 @@ def _budget(attributes: Mapping[str, Any]) -> tuple[Component, ...]:
         Component(name, value, unit, u, None if math.isinf(dof) else dof, sensitivity)
         for name, value, unit, u, dof, sensitivity in zip(*columns, strict=True)
     )
+
+
+def _tables(entry: tree.Group) -> Mapping[str, Table]:
+    tables = {name: _table(group) for name, group in _members(entry, schema.TABLES).items()}
+    return MappingProxyType(tables)
 
 
 def _table(group: tree.Group) -> Table:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import html
+import textwrap
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
 
 from rigtool.quantity import Component, Quantity, format_quantity
@@ -31,35 +32,73 @@ def result_lines(results: Mapping[str, Quantity]) -> list[str]:
     return [*lines, *(f"[{index}] {reason}" for index, reason in enumerate(shared, 1))]
 
 
-def budget_lines(name: str, quantity: Quantity) -> list[str]:
-    """Return the uncertainty budget of a result as aligned lines, the largest share first."""
+def folded(lines: Iterable[str], width: int | None) -> list[str]:
+    """Return lines folded to a width, all of them as they are where that is None; what goes on is
+    indented by four columns more."""
+    if width is None:
+        return list(lines)
+    found = []
+    for line in lines:
+        indent = " " * (len(line) - len(line.lstrip()) + 4)
+        folds = textwrap.TextWrapper(
+            width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+        )
+        found += folds.wrap(line) or [""]
+    return found
+
+
+def budget_lines(name: str, quantity: Quantity, width: int | None = None) -> list[str]:
+    """Return the uncertainty budget of a result as aligned lines, the largest share first.
+
+    Where they are wider than `width` columns, names of components are folded, units have a column,
+    and sensitivities are left out: contributions ("adds") over u.
+    """
     head = f"{name}  {format_quantity(quantity, name)}"
     if quantity.u is None:
         return [f"{head}  (no uncertainty: {quantity.reason})"]
     if not quantity.budget:
         return [head, "  the run states this uncertainty as a whole, without its components"]
-    rows = [("component", "value", "u", "sensitivity", "contribution", "dof", "share")]
-    for line, share in budget_shares(quantity):
-        unit = "" if line.unit == "1" else f" {line.unit}"
-        rows.append(
-            (
-                line.name,
-                f"{line.value:.5g}{unit}",
-                f"{line.u:.2g}{unit}",
-                f"{line.sensitivity:.3g}",
-                f"{line.contribution:.2g}",
-                "inf" if line.dof is None else f"{line.dof:.3g}",
-                f"{share:.1%}",
-            )
-        )
     dof = "inf" if quantity.dof is None else f"{quantity.dof:.3g}"
-    rows.append(("together", f"{quantity.value:.5g}", "", "", f"{quantity.u:.2g}", dof, ""))
+    rows = [("component", "value", "u", "sensitivity", "contribution", "dof", "share")]
+    narrow = [("component", "value", "u", "unit", "adds", "dof", "share")]
+    for line, share in budget_shares(quantity):
+        value, u, unit = f"{line.value:.5g}", f"{line.u:.2g}", "" if line.unit == "1" else line.unit
+        last = (
+            f"{line.contribution:.2g}",
+            "inf" if line.dof is None else f"{line.dof:.3g}",
+            f"{100 * share:.1f} %",
+        )
+        own = f"{value} {unit}".rstrip(), f"{u} {unit}".rstrip()
+        rows.append((line.name, *own, f"{line.sensitivity:.3g}", *last))
+        narrow.append((line.name, value, u, unit, *last))
+    together = ("together", f"{quantity.value:.5g}", "", "", f"{quantity.u:.2g}", dof, "")
+    aligned = _aligned([*rows, together])
+    if width is not None and max(map(len, aligned)) > width - 2:
+        aligned = _narrow([*narrow, together], width - 2)
+    return [f"{head}; contributions in {quantity.unit}", *(f"  {line}" for line in aligned)]
+
+
+def _narrow(rows: Sequence[tuple[str, ...]], width: int) -> list[str]:
+    """Return rows as lines of a width, their names folded between words as far as that needs."""
+    others = max(map(len, _aligned([("", *row[1:]) for row in rows])))
+    longest_word = max(len(word) for row in rows for word in row[0].split())
+    names = [textwrap.wrap(row[0], max(width - others, longest_word)) for row in rows]
+    none = [""] * (len(rows[0]) - 1)
+    return _aligned(
+        (part, *(none if number else row[1:]))
+        for name, row in zip(names, rows, strict=True)
+        for number, part in enumerate(name)
+    )
+
+
+def _aligned(rows: Iterable[tuple[str, ...]]) -> list[str]:
+    """Return rows as lines, the first column at its left edge, the others at their right."""
+    rows = list(rows)
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    aligned = [
+    return [
         "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip()
         for row in rows
     ]
-    return [f"{head}; contributions in {quantity.unit}", *(f"  {line}" for line in aligned)]
 
 
 def budget_shares(quantity: Quantity) -> list[tuple[Component, float]]:

@@ -119,9 +119,10 @@ def test_budget(path):
         "1",
         "3.6e-05",
         "9",
-        "81.8%",
+        "81.8",
+        "%",
     ]
-    assert lines[1].split()[-4:] == ["0.0848", "1.7e-05", "inf", "18.2%"]
+    assert lines[1].split()[-5:] == ["0.0848", "1.7e-05", "inf", "18.2", "%"]
     assert lines[2].split() == ["together", "0.0458", "4e-05", "12"]
     document = json.loads(shown("torque_constant", "--json"))
     assert document["results"]["torque_constant"]["dof"] == 12.0

@@ -146,6 +146,17 @@ def test_an_analysis_differs_in_results_and_tables_only(tmp_path):
         assert "recordings/sweep: only in the first" in differences(o, b, Tolerance())
 
 
+def test_tables_that_were_forgotten_are_read_again(tmp_path):
+    with open_run(write(tmp_path / "a.h5", size=100)) as run:
+        before = run.tables
+        run.forget_tables()
+        assert run.tables is not before
+        assert list(run.tables) == list(before)
+        for name, table in before.items():
+            for column in table.columns:
+                np.testing.assert_array_equal(run.tables[name][column], table[column])
+
+
 def test_a_run_does_not_differ_from_itself(tmp_path):
     path = write(tmp_path / "a.h5", size=9000)
     assert lines(path, path) == []
@@ -186,6 +197,20 @@ def test_each_difference_is_reported(tmp_path, what, expected):
     found = lines(path, changed(tmp_path, **what))
     assert expected in found
     assert len(found) <= 2
+
+
+def test_of_runs_of_different_commands_the_rest_is_counted(tmp_path):
+    def another(results):
+        value = results.pop("arm_length")
+        results |= {"new": value, "newer": value}
+
+    path = write(tmp_path / "a.h5", size=9000)
+    other = changed(tmp_path, command="fft-ripple", results=another)
+    common = len(RESULTS) - 1
+    assert lines(path, other) == [
+        "command: stribeck | fft-ripple",
+        f"results: 1 only in the first, 2 only in the second, {common} in both",
+    ]
 
 
 def test_runs_of_different_length(tmp_path):

@@ -17,8 +17,9 @@ def command(ctx: click.Context, first: str, second: str, rtol: float, atol: floa
     """Show where two runs differ.
 
     Compares results, tables and signals, but not provenance and notes. An analysis of a stored run
-    has no signals of its own: results and tables are compared with that run. Values agree if they
-    differ by at most atol + rtol * the larger one. Exit code 1 if anything differs.
+    has no signals of its own: results and tables are compared with that run. Of runs of different
+    commands, what both have is compared, and the rest is counted. Values agree if they differ by at
+    most atol + rtol * the larger one. Exit code 1 if anything differs.
     """
     from rigtool.runfile import open_run
     from rigtool.runfile.comparison import Tolerance, differences

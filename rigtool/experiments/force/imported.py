@@ -94,9 +94,9 @@ def _require_stroke(measured: Sequence[Measured], model: LoadModel, tables: Run)
     if beyond > MOST_BEYOND:
         low, high = model.scales.low, model.scales.high
         raise InsufficientDataError(
-            f"{beyond:.0%} of the way is beyond the stroke that {tables.path} was learned on, "
-            f"{low:.4g} to {high:.4g} rad of the motor: the encoder was zeroed elsewhere, or the "
-            "tables are of another instrument or mounting; learn tables from runs of this one"
+            f"{100 * beyond:.0f} % of the way is beyond the stroke that {tables.path} was learned "
+            f"on, {low:.4g} to {high:.4g} rad of the motor: the encoder was zeroed elsewhere, or "
+            "the tables are of another instrument or mounting; learn tables from runs of this one"
         )
 
 

@@ -71,8 +71,8 @@ def lacking_torque(
     )
     if lacking > limit:
         raise InsufficientDataError(
-            f"{text}: more than {limit * 1e3:.3g} mN m, {UNSAMPLED_LIMIT:.0%} of the largest load; "
-            f"{SET_POINT_REMEDY}"
+            f"{text}: more than {limit * 1e3:.3g} mN m, {100 * UNSAMPLED_LIMIT:.0f} % of the "
+            f"largest load; {SET_POINT_REMEDY}"
         )
     if lacking > NOTED_PART_OF_LOAD * min(applied, default=0.0):
         return lacking, (f"{text}, which is in the uncertainty of each load: {SET_POINT_REMEDY}",)
@@ -106,8 +106,8 @@ def unsteady_torque(
         raise InsufficientDataError(
             f"the output passes {settings.measure_angle:g} deg at {found:.3g} rad/s in the mean "
             f"over what a low-pass of {settings.lowpass_hz:g} Hz remembers, its set point is "
-            f"{wanted:.3g} rad/s (limit: {MAX_SPEED_DEVIATION:.0%} off): the ends of the stroke "
-            "are in the "
+            f"{wanted:.3g} rad/s (limit: {100 * MAX_SPEED_DEVIATION:.0f} % off): the ends of the "
+            "stroke are in the "
             "reading; set speed_rev_per_s lower, lowpass_hz higher, or measure_angle to the middle "
             "of the stroke (in a soft loop the rotor lags behind the load and moves the middle)"
         )

@@ -40,14 +40,14 @@ def _exponential(slope: float, width: float) -> tuple[float, float]:
 @compiled
 def truncated(alpha: float, beta: float) -> tuple[float, float]:
     """Return mean and variance of a standard normal between alpha < beta."""
+    side = 1.0
     if alpha + beta < 0.0:  # by symmetry: above zero the tails are those that erfc resolves
-        mean, variance = truncated(-beta, -alpha)
-        return -mean, variance
+        side, alpha, beta = -1.0, -beta, -alpha
     if beta - alpha < NARROWEST_INTERVAL or alpha > FARTHEST_EDGE:
         width = min(beta - alpha, 1.0)  # beyond 1 nothing is left of a tail that far out
         mean, variance = _exponential(alpha + min(width, NARROWEST_INTERVAL) / 2.0, width)
-        return alpha + mean, variance
+        return side * (alpha + mean), variance
     tail = 0.5 * (math.erfc(alpha / math.sqrt(2.0)) - math.erfc(beta / math.sqrt(2.0)))
     low, high = _density(alpha) / tail, _density(beta) / tail
     mean = low - high
-    return mean, 1.0 + alpha * low - (beta * high if high > 0.0 else 0.0) - mean * mean
+    return side * mean, 1.0 + alpha * low - (beta * high if high > 0.0 else 0.0) - mean * mean

@@ -53,7 +53,7 @@ from rigtool.experiments.force_filter.plant import (
     advance,
 )
 from rigtool.numerics.arrays import Array
-from rigtool.numerics.compiled import compiled
+from rigtool.numerics.compiled import compiled, compiled_allocating
 
 SHORT, LONG = 6e-3, 0.1
 """Memories of the leaky sums of corrections, s."""
@@ -368,7 +368,7 @@ def _update(
     return shift / variance, weight, variance
 
 
-@compiled
+@compiled_allocating
 def run(
     state: NDArray[np.void],
     plant: NDArray[np.void],

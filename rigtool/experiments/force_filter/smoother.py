@@ -19,7 +19,7 @@ from rigtool.experiments.force_filter.linear import ROW_LENGTH, THETA, C, L, N, 
 from rigtool.experiments.force_filter.linear import backwards as multiply_back
 from rigtool.experiments.force_filter.plant import ANGLE, FACTOR_COUNT, STATES
 from rigtool.numerics.arrays import Array
-from rigtool.numerics.compiled import compiled
+from rigtool.numerics.compiled import compiled, compiled_allocating
 
 ADJOINT_COLUMN = STATES
 """Column of the adjoint, behind those of L."""
@@ -85,7 +85,7 @@ def _before_prediction(
         multiply_back(rows, columns, factors, (k + 1) * samples - 1 - i)
 
 
-@compiled
+@compiled_allocating
 def smooth_steps(
     rows: Array,
     kept: float,

@@ -37,7 +37,7 @@ from numpy.typing import ArrayLike, NDArray
 from rigtool.experiments.force_filter.highest import highest
 from rigtool.experiments.force_filter.motion_states import CREEPING_KIND, State, States
 from rigtool.numerics.arrays import Array
-from rigtool.numerics.compiled import compiled
+from rigtool.numerics.compiled import compiled_allocating
 from rigtool.numerics.recursion import Biquad, filtered
 
 Single = NDArray[np.float32]
@@ -172,7 +172,7 @@ def contacts(test: Trial, limits: Array) -> list[Contact]:
     return [Contact(*row) for row in rows]
 
 
-@compiled
+@compiled_allocating
 def _contacts(
     torque: Single,
     jump: Single,

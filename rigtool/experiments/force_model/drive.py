@@ -18,7 +18,7 @@ from rigtool.experiments.force_filter.plant import Plant
 from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind, Term, wave
 from rigtool.numerics.arrays import Array
-from rigtool.numerics.compiled import compiled
+from rigtool.numerics.compiled import compiled_allocating
 
 MAP_SIZE = 2048
 """Points of a turn: orders up to 12 are interpolated between them within 1e-5."""
@@ -92,7 +92,7 @@ def tabulated(terms: tuple[Term, ...], coefficient: Array) -> Array:
     return found
 
 
-@compiled
+@compiled_allocating
 def _drive(
     angle: Array,
     plain: Array,

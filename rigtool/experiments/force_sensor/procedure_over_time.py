@@ -199,7 +199,7 @@ def _of_this_instrument(
     found = max(filter(None, both), key=lambda one: one.size, default=None)
     share = unknown_share([part.passes[0] for r in read for part in r.parts])
     grows = [
-        f"through reversals under a load, torque is {abs(share):.1%} "
+        f"through reversals under a load, torque is {100 * abs(share):.1f} % "
         f"{'more' if share > 0 else 'less'} against the load's direction of motion and as much "
         "the other way with it: u is wider by this share; the load opposes motion itself, or "
         f"{tables.path} does not hold the friction under load: learn again"

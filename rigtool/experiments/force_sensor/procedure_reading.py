@@ -26,6 +26,7 @@ from rigtool.experiments.force_sensor.stretch import Stretch, shortest_stretch
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, rising_steps
+from rigtool.numerics.memory import give_back
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run
 
@@ -96,7 +97,7 @@ def read_recording(
     counts = round(moved / instrument.count)
     parts: list[TorqueRows] = []
     breaks, read, done = -1, 0.0, 0
-    with ThreadPoolExecutor(2) as workers:
+    with ThreadPoolExecutor(1) as smoothing, ThreadPoolExecutor(1) as testing:
         stretch: Stretch | None = None
         for block, begins in unbroken_blocks(recording, instrument):
             if begins:
@@ -113,7 +114,7 @@ def read_recording(
                     instrument,
                     began,
                     left,
-                    workers,
+                    (smoothing, testing),
                     commanded=recording.has("position_setpoint"),
                 )
             done += block.shape[1]
@@ -123,6 +124,7 @@ def read_recording(
         if stretch is not None:
             parts += stretch.reading()
             read += stretch.seconds
+    give_back()
     (first,) = recording.read("time", 0, 1)
     (last,) = recording.read("time", recording.size - 1)
     # without a gap samples count: their clock may be off the interval by a part in a million

@@ -386,7 +386,9 @@ def _notes(
 ) -> list[str]:
     low, high = reach.angle
     named = [*((s, STATE_NAMES[s]) for s in JUDGED_STATES), (CREEPING_KIND, "creeping")]
-    factors = ", ".join(f"{name} {scales[s, 0]:.2f} and {scales[s, 1]:.1%}" for s, name in named)
+    factors = ", ".join(
+        f"{name} {scales[s, 0]:.2f} and {100 * scales[s, 1]:.1f} %" for s, name in named
+    )
     notes = [
         f"torque was learned up to {reach.torque * 1e3:.4g} mN m, from {low:.4g} to {high:.4g} rad "
         f"of the motor, up to {reach.speed:.4g} rad/s; outside there is no value",
@@ -396,7 +398,9 @@ def _notes(
     if (outside := 1 - known.mean()) > 0:
         limit = any(part.limited for r in recordings for part in r.parts)
         why = ", or about a current at its limit" if limit else ""
-        notes.append(f"no value in {outside:.1%} of the time: outside what was learned{why}")
+        notes.append(
+            f"no value in {100 * outside:.1f} % of the time: outside what was learned{why}"
+        )
     if lost := sum(r.lost for r in recordings):
         notes.append(
             f"samples are missing or NaN: {lost:.3g} s have no value, and the filter begins anew "

@@ -24,7 +24,7 @@ from rigtool.experiments.force_sensor.lasting_contact import (
     normal,
     weighed,
 )
-from rigtool.numerics.compiled import compiled
+from rigtool.numerics.compiled import compiled, compiled_allocating
 
 ROW_TIME = 20e-3
 """Mean time of a row, s: friction's own noise hardly changes within it."""
@@ -228,7 +228,7 @@ def _touching(s: Record, p: Record) -> float:
     return together
 
 
-@compiled
+@compiled_allocating
 def _by_ripple(s: Record, p: Record, touching: float) -> float:
     """Return the part of the logarithm of a row's likelihood under other ripple, and take it in
     there."""
@@ -259,7 +259,7 @@ def _by_ripple(s: Record, p: Record, touching: float) -> float:
     return together
 
 
-@compiled
+@compiled_allocating
 def _take_back(s: Record, p: Record) -> None:
     """Go back to what was known before a contact that is recognised, or keep what is known now."""
     s.since += 1.0
@@ -282,7 +282,7 @@ def _take_back(s: Record, p: Record) -> None:
     s.since = 0.0
 
 
-@compiled
+@compiled_allocating
 def _begin_anew(s: Record) -> None:
     """Forget another power-up's ripple: what was taken for it is too large."""
     s.other = min(s.other, 0.0)

@@ -10,6 +10,7 @@ same.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +60,7 @@ class SensorProperties:
         """Samples and steps of the filter."""
         return FilterSteps.of(self.interval, self.loop_time)
 
-    @property
+    @cached_property
     def open_variances(self) -> Array:
         """Variance of the torque that friction leaves open where the motor has no current, N2 m2,
         (3, kinds), by `Judge.idling` and the kind of motion: that of a rectangle.
@@ -81,7 +82,7 @@ class SensorProperties:
         open_: Array = (plant.torque_factor * widths) ** 2 / 3
         return open_
 
-    @property
+    @cached_property
     def creeping_torque(self) -> float:
         """Friction that a bent bristle carries while the rotor creeps, N m on the output."""
         plant = self.model.plant(self.grid.sample_time)
@@ -186,8 +187,8 @@ class Sensor:
         torque = estimate.passed - ripple
         moments = Moments(
             estimate.low,
-            estimate.states[:, SPEED],
-            estimate.states[:, HOUSING],
+            estimate.states[:, SPEED].copy(),  # they wait: the other states' memory goes
+            estimate.states[:, HOUSING].copy(),
             torque,
             found[0],
             found[1],

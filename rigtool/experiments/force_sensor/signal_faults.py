@@ -198,8 +198,9 @@ class SignalWatch:
                 end,
                 f"the current stays at {most[first]:.6g} A to the last digit from {start:.3f} to "
                 f"{end:.3f} s, {'like' if not moved else 'while'} {what}; it does so in "
-                f"{same[others].mean():.0%} of the other time: unless nothing drives the motor "
-                "there, its channel has stopped and the torque is wrong; check what records it",
+                f"{100 * same[others].mean():.0f} % of the other time: unless nothing drives the "
+                "motor there, its channel has stopped and the torque is wrong; check what records "
+                "it",
                 self._commanded and moved > 0,
             )
 

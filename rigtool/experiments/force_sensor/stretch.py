@@ -8,6 +8,7 @@ holds what was read, a few numbers a step, and no samples.
 from __future__ import annotations
 
 import math
+from collections import deque
 from concurrent.futures import Executor, Future
 from dataclasses import replace
 from typing import Any
@@ -69,6 +70,10 @@ kept at the table's rows. What is in single precision is known to 1e-7 of itself
 which only the place in a turn is kept, to 1e-6 rad: both move u by less than 1e-6 of it."""
 
 
+LATE_BLOCKS = 3
+"""Blocks that a worker may be behind: smoothing takes many at once, now and then."""
+
+
 def shortest_stretch(corner_hz: float) -> float:
     """Return the shortest stretch without gaps that is analysed, s: the filter settles, and its
     low-pass does."""
@@ -78,9 +83,10 @@ def shortest_stretch(corner_hz: float) -> float:
 class Stretch:
     """Samples without a gap: causal at once, smoothed as soon as enough has followed.
 
-    `workers` smooth, and run the filter that contacts are found with, while the next samples are
-    read. `seconds` have a torque once the stretch is over, which has `size` samples at most. Of
-    what only the table's rows show, only rows are kept: an hour has 3.6 million steps.
+    The first of `workers` smooths, the second runs the filter that contacts are found with, while
+    the next samples are read; each does one block at a time, in order. `seconds` have a torque once
+    the stretch is over, which has `size` samples at most. Of what only the table's rows show, only
+    rows are kept: an hour has 3.6 million steps.
     """
 
     def __init__(
@@ -89,7 +95,7 @@ class Stretch:
         instrument: SensorProperties,
         began: float,
         size: int,
-        workers: Executor,
+        workers: tuple[Executor, Executor],
         *,
         commanded: bool = False,
     ) -> None:
@@ -104,7 +110,8 @@ class Stretch:
         self._untouched: Filter | None = None
         if np.isfinite(instrument.model.limits).any():
             self._untouched = instrument.filter(instrument.model.untouched)
-        self._later: list[Future[None]] = []
+        self._later: deque[Future[None]] = deque()
+        self._tested: deque[Future[None]] = deque()
         self._judge = instrument.judge(causal=False)
         self._waiting: list[Moments] = []  # of which some, in front, give states alone
         self._in_front = 0
@@ -119,7 +126,7 @@ class Stretch:
         sensed = self._sensor.add(samples, last=last)
         self._watch.add(samples)
         self._limited += int(self._instrument.limited(samples[1]).sum())
-        self._settle()
+        self._settle(LATE_BLOCKS)
         estimate = sensed.estimate
         rows = slice(-self._steps % self._every, None, self._every)
         self._steps += len(sensed.states)
@@ -134,10 +141,10 @@ class Stretch:
         self._keep("causal_states", sensed.states[rows])
         for reference in sensed.others:
             self._keep("reference", reference)
-        self._waiting.append(sensed.moments)
-        self._later = [self._workers.submit(self._smooth, sensed, last)]
+        smoothing, testing = self._workers
+        self._later.append(smoothing.submit(self._smooth, sensed, last))
         if self._untouched is not None:
-            self._later.append(self._workers.submit(self._test, self._untouched, sensed))
+            self._tested.append(testing.submit(self._test, self._untouched, sensed))
 
     def _keep(self, name: str, values: NDArray[Any]) -> None:
         """Keep values behind those that were kept, in memory of the whole stretch's size that is
@@ -148,10 +155,11 @@ class Stretch:
         self._filled[name] = first + len(values)
         self._found[name][first : first + len(values)] = values
 
-    def _settle(self) -> None:
-        """Wait for what is done beside: it uses what the next samples change."""
-        for task in self._later:
-            task.result()
+    def _settle(self, left: int = 0) -> None:
+        """Wait for what is done beside, until only the last blocks are `left` to each worker."""
+        for tasks in (self._later, self._tested):
+            while len(tasks) > left:
+                tasks.popleft().result()
 
     def _test(self, untouched: Filter, sensed: Sensed) -> None:
         """Keep what the tests for contacts look at."""
@@ -163,6 +171,7 @@ class Stretch:
 
     def _smooth(self, sensed: Sensed, last: bool) -> None:
         """Smooth the steps that wait the longest."""
+        self._waiting.append(sensed.moments)
         kept = self._again.add(sensed.signals, sensed.estimate, less=sensed.less, last=last)
         self._judged(*self._smoother.add(kept))
         if last:
@@ -223,6 +232,11 @@ class Stretch:
         def judged_rows(values: Array) -> Array:
             return np.where(judged[rows], values[rows], np.nan)  # the steps' memory goes
 
+        referred_rows: list[Array | None] = [None, None]
+        if reference is not None:
+            filters = held_lowpass, delayed
+            referred_rows = [judged_rows(f(rate, reference, corner_hz)) for f in filters]
+        give_back()
         return [
             TorqueRows(
                 self._name,
@@ -234,11 +248,9 @@ class Stretch:
                 self._taken("causal"),
                 self._taken("causal_u"),
                 causal_states.astype(np.int32),
-                None
-                if reference is None
-                else judged_rows(held_lowpass(rate, reference, corner_hz)),
+                referred_rows[0],
                 self._limited,
-                None if reference is None else judged_rows(delayed(rate, reference, corner_hz)),
+                referred_rows[1],
                 contacts,
                 every,
                 response=None
@@ -273,8 +285,9 @@ class Stretch:
             part = slice(first, first + PIECE_STEPS)
             ripple, variance, _ = again(angle[part].astype(np.float64), torque[part])
             torque[part] -= ripple - factor * less[part]
-            added.append(ripple[-first % every :: every])
-            variances.append(variance[-first % every :: every])
+            rows = slice(-first % every, None, every)
+            added.append(ripple[rows].copy())  # the steps' memory goes
+            variances.append(variance[rows].copy())
         corner_hz, step_time = instrument.corner_hz, instrument.grid.step_time
         deviation = without_delay(self._taken("u"), corner_hz, step_time)
         ahead = weight_ahead(1 / step_time, len(deviation), corner_hz)

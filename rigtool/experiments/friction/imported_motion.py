@@ -82,10 +82,10 @@ def _notes(dynamics: Dynamics) -> list[str]:
     total = sum(motion.samples for motion in motions)
     notes = [
         "from the dynamics of the motion, J a + fv v + fc sign(v) + offset, that explain "
-        f"{dynamics.explained:.1%} of its variance up to {min(cutoffs):.3g} Hz or more",
+        f"{100 * dynamics.explained:.1f} % of its variance up to {min(cutoffs):.3g} Hz or more",
         "the model is that of one axis: torque of other joints of an arm that move is not in u",
-        f"{left_out} of {total} samples left out: below {dynamics.standstill:.0%} of the highest "
-        "speed, as the residuals ask for, or at an end; what that changes is part of u",
+        f"{left_out} of {total} samples left out: below {100 * dynamics.standstill:.0f} % of the "
+        "highest speed, as the residuals ask for, or at an end; what that changes is part of u",
     ]
     for share, what in (
         (dynamics.by_speed, "speed: friction is not a straight line over speed"),
@@ -93,8 +93,8 @@ def _notes(dynamics: Dynamics) -> list[str]:
     ):
         if share > NOTED_POWER:
             notes.append(
-                f"{share:.0%} of the unexplained power is a function of {what}; its possible "
-                "effect on the results is part of their uncertainties"
+                f"{100 * share:.0f} % of the unexplained power is a function of {what}; its "
+                "possible effect on the results is part of their uncertainties"
             )
     if dynamics.is_late:
         delay, u = dynamics.estimate("delay")

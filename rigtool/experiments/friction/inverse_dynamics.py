@@ -277,8 +277,8 @@ def _require_friction(design: Array) -> None:
     if not ONE_WAY <= forward <= 1 - ONE_WAY:
         way = "positive" if forward > 0.5 else "negative"
         raise InsufficientDataError(
-            f"{max(forward, 1 - forward):.1%} of the motion is in the {way} direction: Coulomb "
-            "friction and a constant torque cannot be separated; move in both directions"
+            f"{100 * max(forward, 1 - forward):.1f} % of the motion is in the {way} direction: "
+            "Coulomb friction and a constant torque cannot be separated; move in both directions"
         )
     own = own_part(design, 1)
     if own < MIN_OWN_POWER:
@@ -298,8 +298,8 @@ def _resolves_inertia(motions: Sequence[SmoothedMotion]) -> tuple[float, str | N
     if share > ACCELERATION_NOISE_LIMIT:
         return share, (
             "the acceleration does not exceed the encoder's resolution "
-            f"({min(share, 1.0):.0%} of its power is noise, limit "
-            f"{ACCELERATION_NOISE_LIMIT:.0%}): move with more acceleration"
+            f"({100 * min(share, 1.0):.0f} % of its power is noise, limit "
+            f"{100 * ACCELERATION_NOISE_LIMIT:.0f} %): move with more acceleration"
         )
     if own_part(design, 0) < MIN_OWN_POWER:
         return share, (
@@ -313,9 +313,9 @@ def _require_model(found: Dynamics) -> None:
     """Raise where the model does not explain the torque, or friction drives the motion."""
     if found.explained < MIN_EXPLAINED:
         raise InsufficientDataError(
-            f"inertia and friction explain {found.explained:.0%} of the torque's variance, limit "
-            f"{MIN_EXPLAINED:.0%}: something else acts, such as a load or ripple, or torque and "
-            "position are not of one clock"
+            f"inertia and friction explain {100 * found.explained:.0f} % of the torque's variance, "
+            f"limit {100 * MIN_EXPLAINED:.0f} %: something else acts, such as a load or ripple, or "
+            "torque and position are not of one clock"
         )
     coulomb, u = found.estimate("coulomb")
     if coulomb < -3 * u:

@@ -127,6 +127,6 @@ def require_linear_at_low_current(
         raise InsufficientDataError(
             f"the amplifier's current deviates from its set point by {rms * 1e3:.3g} mA rms, worst "
             f"{deviation[worst] * 1e3:.3g} mA at {level[worst] * 1e3:.3g} mA, limit "
-            f"{limit * 1e3:.3g} mA ({DEVIATION_LIMIT:.0%} of the current that friction takes): it "
-            "is not linear at low current; use another amplifier"
+            f"{limit * 1e3:.3g} mA ({100 * DEVIATION_LIMIT:.0f} % of the current that friction "
+            "takes): it is not linear at low current; use another amplifier"
         )

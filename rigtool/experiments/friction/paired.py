@@ -360,6 +360,7 @@ def _require_same(position: Array, other: Array) -> None:
     rms = float(np.std(apart)) / max(float(np.std(position)), 1e-300)
     if rms > SAME_MOTION:
         raise InsufficientDataError(
-            f"the runs are not of one motion: aligned, their positions differ by {rms:.0%} rms of "
-            f"their standard deviation, the limit is {SAME_MOTION:.0%}; give runs of one motion"
+            f"the runs are not of one motion: aligned, their positions differ by {100 * rms:.0f} % "
+            f"rms of their standard deviation, the limit is {100 * SAME_MOTION:.0f} %; give runs "
+            "of one motion"
         )

@@ -235,7 +235,7 @@ def fit_holds(
     )
     notes = [
         f"holds left out at {', '.join(f'{v:.3g}' for v in np.unique(speed[chosen].round(3)))} "
-        f"rad/s, where the speed varies by more than {limit:.0%}: {reason}"
+        f"rad/s, where the speed varies by more than {100 * limit:.0f} %: {reason}"
         for chosen, limit, reason in reasons
         if chosen.any()
     ]
@@ -264,8 +264,8 @@ def _note_lacking(lacking: UnsampledCurrent, holds: Holds, found: Findings) -> N
     )
     if abs(left_out[worst]) > limit:
         raise InsufficientDataError(
-            f"{text}: more than {limit * 1e3:.3g} mN m, {UNSAMPLED_LIMIT:.0%} of the torque read "
-            f"as friction; {SET_POINT_REMEDY}"
+            f"{text}: more than {limit * 1e3:.3g} mN m, {100 * UNSAMPLED_LIMIT:.0f} % of the "
+            f"torque read as friction; {SET_POINT_REMEDY}"
         )
     if abs(left_out[worst]) > NOTED_SHARE * limit:
         found.notes.append(f"{text}, which is in the uncertainty of friction: {SET_POINT_REMEDY}")

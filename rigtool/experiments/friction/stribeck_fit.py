@@ -372,7 +372,7 @@ def require_explained(fits: Sequence[DirectionFit]) -> None:
         raise InsufficientDataError(
             f"torque against speed has structure of {worst.structure * 1e3:.3g} mN m rms about "
             f"the best friction model, far beyond the scatter of its points; limit "
-            f"{limit * 1e3:.3g} mN m ({STRUCTURE_LIMIT:.0%} of the friction); worst at "
+            f"{limit * 1e3:.3g} mN m ({100 * STRUCTURE_LIMIT:.0f} % of the friction); worst at "
             f"{worst.worst_speed:.3g} rad/s. No friction model explains that: suspect noise "
             "that is slower than a hold (raise stribeck.hold_time), the current amplifier at low "
             "current, or a resonance of the speed loop"

@@ -207,9 +207,9 @@ def _shaking_note(recordings: Sequence[Recording], recipe: Recipe) -> list[str]:
     return [
         f"at {', '.join(f'{v:.3g}' for v in speed[shaken])} rad/s the steps of the encoder, "
         f"{recipe.rig.encoder_counts} a turn, make the loop vary the speed by up to "
-        f"{shaking.max():.0%} (limit {SHAKING_LIMIT:.0%}): ripple there is that of a shaking "
-        "current, which no uncertainty includes; take an encoder with more counts, a softer "
-        "controller, or turn faster"
+        f"{100 * shaking.max():.0f} % (limit {100 * SHAKING_LIMIT:.0f} %): ripple there is that of "
+        "a shaking current, which no uncertainty includes; take an encoder with more counts, a "
+        "softer controller, or turn faster"
     ]
 
 
@@ -296,8 +296,9 @@ def _constants(
         lower = np.interp(place, np.arange(turns + 1), lowered.fall) + fall * (place / turns - 0.5)
         if lower.max() > LARGEST_FALL:
             raise InsufficientDataError(
-                f"heat of the winding would lower the torque constant by {lower.max():.0%}; more "
-                f"than {LARGEST_FALL:.0%} is no motor's: check the recorded temperature and current"
+                "heat of the winding would lower the torque constant by "
+                f"{100 * lower.max():.0f} %; more than {100 * LARGEST_FALL:.0f} % is no motor's: "
+                "check the recorded temperature and current"
             )
         by_turn = housing.value * (1 - lower.reshape(count, cells))
         by_cell.append(by_turn if own.forward else by_turn[:, ::-1])
@@ -318,8 +319,8 @@ def _heat_note(recorded: Sequence[Recording], heat: Sequence[Lowered]) -> str:
         return note
     return (
         f"{note}; {recorded[worst].name}: the current that holds its torque shows that the "
-        f"winding's heat lowers the constant by another {means[worst]:.2%}, with a standard "
-        f"uncertainty of {heat[worst].u:.2%}"
+        f"winding's heat lowers the constant by another {100 * means[worst]:.2f} %, with a "
+        f"standard uncertainty of {100 * heat[worst].u:.2f} %"
     )
 
 

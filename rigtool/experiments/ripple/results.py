@@ -79,7 +79,8 @@ def ripple_results(by_speed: Sequence[Ripple]) -> dict[str, Quantity]:
         results[f"strongest_order_{name}_speed"] = Quantity(
             float(strongest),
             "1",
-            reason=f"a whole number; the next order has {second / first:.0%} of its amplitude",
+            reason="a whole number; the next order has "
+            f"{100 * second / first:.0f} % of its amplitude",
         )
     rms = by_speed[0].rms()
     results["repeatable_rms"] = Quantity(rms.repeatable, "N m", rms.repeatable_u, rms.dof)

@@ -32,6 +32,7 @@ def analyse_stored(
             )
         for run in runs:
             run.require_command(procedure.command, *procedure.accepts)
+            run.forget_tables()
         require_inputs(procedure, inputs)
         recipe = runs[0].recipe
         if recipe is None:

@@ -379,8 +379,8 @@ def _result(
     rms, span = math.sqrt(float(np.mean(best.residual**2))), float(np.ptp(torque))
     if rms > MAX_MISFIT * span:
         raise InsufficientDataError(
-            f"torque follows current with residuals of {rms:.3g} N m rms, {MAX_MISFIT:.0%} of its "
-            "span "
+            f"torque follows current with residuals of {rms:.3g} N m rms, {100 * MAX_MISFIT:.0f} % "
+            "of its span "
             f"of {span:.3g} N m is the limit: see to the units and to what else loads the shaft"
         )
 

@@ -271,8 +271,8 @@ def _notes(fit: CurrentFit, recording: Recording) -> tuple[str, ...]:
     kind = "plateaus" if fit.plateaus else "parts of ramps"
     notes = [
         f"from {len(fit.current)} {kind} of {_current(recording)} against {sensor}; standard "
-        f"uncertainty: fit {fit.constant_u / fit.constant:.2%}, one constant for all currents up "
-        f"to {abs(fit.current).max():.3g} A {fit.curvature_u:.2%}"
+        f"uncertainty: fit {100 * fit.constant_u / fit.constant:.2f} %, one constant for all "
+        f"currents up to {abs(fit.current).max():.3g} A {100 * fit.curvature_u:.2f} %"
     ]
     if fit.one_way:
         notes.append(

@@ -106,7 +106,7 @@ def require_straight(
         raise InsufficientDataError(
             f"torque follows current by {straight:.3g} N m/A on the whole, but by "
             f"{np.mean(slope):.3g} N m/A once friction and heat are taken out; they may "
-            f"change it by {SLOPE_LIMIT:.0%}: {_too_much(stairs, off_line)}"
+            f"change it by {100 * SLOPE_LIMIT:.0f} %: {_too_much(stairs, off_line)}"
         )
     limit = max(MISFIT_LIMIT * float(np.ptp(stairs.torque)), stairs.resolution)
     worst = int(np.argmax(np.abs(mean)))
@@ -129,7 +129,8 @@ def _require_alike(stairs: Stairs, slope_u: Array) -> None:
             f"staircase {worst} (of {len(lines)}, from 0) at {stairs.rotor_angle[worst]:.3g} rad, "
             f"{stairs.temperature[worst, 0]:.3g} degC: torque follows current by "
             f"{lines[worst]:.3g} N m/A, by {usual:.3g} in the middle of all; they may differ by "
-            f"{SLOPE_LIMIT:.0%}: see to the gauge's cable and the arm's clamp, and measure again"
+            f"{100 * SLOPE_LIMIT:.0f} %: see to the gauge's cable and the arm's clamp, and measure "
+            "again"
         )
 
 
@@ -150,9 +151,9 @@ def _require_rise_to_top(stairs: Stairs, level_u: Array) -> None:
     if last < LEAST_RISE * usual - SURE * u:
         raise InsufficientDataError(
             f"torque rises with current by {usual:.3g} N m/A, from "
-            f"{current[-quarter - 1]:.3g} A on by {last:.3g} N m/A, at least {LEAST_RISE:.0%} of "
-            "that is needed: the gauge is saturated, the arm at an end stop, or the amplifier at "
-            "its limit; lower current_max"
+            f"{current[-quarter - 1]:.3g} A on by {last:.3g} N m/A, at least "
+            f"{100 * LEAST_RISE:.0f} % of that is needed: the gauge is saturated, the arm at an "
+            "end stop, or the amplifier at its limit; lower current_max"
         )
 
 

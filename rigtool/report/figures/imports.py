@@ -63,7 +63,8 @@ def draw_held_out(run: Run, table: Table) -> Figure:
     part = 1 - (1 - run.results["removed"].value) ** 2
     axes.set_xlabel(
         "order of rotation\n"
-        f"variance removed: {part:.1%} of what repeats, {record:.1%} of the raw record"
+        f"variance removed: {100 * part:.1f} % of what repeats, {100 * record:.1f} % of the raw "
+        "record"
     )
     style.legend_above(axes)
     return figure

@@ -62,7 +62,7 @@ def _table_torque(
         row += 1
     along = (speed - speeds[row]) / (speeds[row + 1] - speeds[row])
     along = min(max(along, 0.0), 1.0)
-    return _blend(rows.ravel(), row * count + column, count, across - column, along)
+    return _blend(rows.reshape(rows.size), row * count + column, count, across - column, along)
 
 
 @compiled

@@ -26,7 +26,7 @@ from rigtool.experiments.force_model.drive import MotorMap
 from rigtool.experiments.force_model.model import Kind, Term
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.experiments.force_sensor.sensor import Sensor, SensorProperties
-from rigtool.numerics.compiled import compiled as machine_code
+from rigtool.numerics.compiled import compiled_allocating as machine_code
 from tests.experiments.force_filter.plants import PLANT, UNCERTAINTY
 
 HOST = Path(__file__).with_name("sensor_host.c")

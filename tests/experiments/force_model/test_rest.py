@@ -29,7 +29,7 @@ from rigtool.experiments.force_model.rest import (
     learn_turns,
 )
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
-from rigtool.numerics.compiled import compiled
+from rigtool.numerics.compiled import compiled_allocating
 from tests.experiments.force_filter.plants import UNCERTAINTY
 
 COUNT, STEP, CONSTANT = 2 * np.pi / 4000, 125e-6, 0.05
@@ -86,7 +86,7 @@ def explored(truth, seconds=7.0, seed=4, period=0.9, sizes=(0.02, 0.4), width=CO
     return Exploration(encoder, drive / CONSTANT, STEP, CONSTANT, width, STEP)
 
 
-@compiled
+@compiled_allocating
 def turned(wanted, noise, kept, record, friction_map, width):
     """Return encoder and drive torque of each sample."""
     x = np.zeros(STATES)

@@ -23,8 +23,8 @@ def test_a_load_that_comes_at_the_end_of_a_rest_is_within_the_intervals_before_i
     size = round(20.0 / INTERVAL)
     contact = np.where(np.arange(size) * INTERVAL < 18.0, 0.0, 0.02)
     samples = moved(np.zeros(size), contact)
-    with ThreadPoolExecutor(2) as workers:
-        stretch = Stretch("rest", instrument(model=Certain()), 0.0, size, workers)
+    with ThreadPoolExecutor(1) as worker:
+        stretch = Stretch("rest", instrument(model=Certain()), 0.0, size, (worker, worker))
         stretch.add(samples)
         (rows,) = stretch.reading()
     rest = (rows.time > 2.0) & (rows.time < 17.9) & (rows.states == State.STILL)

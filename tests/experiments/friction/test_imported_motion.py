@@ -60,9 +60,9 @@ def test_notes_state_what_was_left_out_and_what_else_acts(share):
         estimate=lambda name: (2.5e-3, 3e-4),
     )
     notes = _notes(dynamics)
-    assert "explain 98.8% of its variance up to 9.5 Hz or more" in notes[0]
-    assert notes[2].startswith("42 of 500 samples left out: below 5% of the highest speed")
-    assert any(f"{share:.0%} of the unexplained power" in note for note in notes) == (
+    assert "explain 98.8 % of its variance up to 9.5 Hz or more" in notes[0]
+    assert notes[2].startswith("42 of 500 samples left out: below 5 % of the highest speed")
+    assert any(f"{100 * share:.0f} % of the unexplained power" in note for note in notes) == (
         share > NOTED_POWER
     )
     assert "the effort is 2.5 ms (u 0.3 ms) later" in notes[-2]

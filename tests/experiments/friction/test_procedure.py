@@ -294,7 +294,7 @@ def test_what_samples_lack_is_in_the_uncertainty_of_friction_or_refuses_it(measu
         assert after.u > 1.2 * before.u
     assert any("which is in the uncertainty of friction" in note for note in outcome.notes)
     with pytest.raises(
-        InsufficientDataError, match=r"most at 30(\.\d)? rad/s .* 10% of the torque"
+        InsufficientDataError, match=r"most at 30(\.\d)? rad/s .* 10 % of the torque"
     ):
         between_set_points(path, kt, [(30.0, 0.02)])
 

@@ -86,4 +86,4 @@ def test_the_bare_motor_from_text(tmp_path, seed):
         assert abs(result.value - expected) < 2 * result.u, (name, result, expected)
         # Its ripple is a third of its friction: uncertainties are large, but show something.
         assert result.u < 0.7 * expected
-    assert any("samples left out: below 1% of the highest speed" in note for note in notes)
+    assert any("samples left out: below 1 % of the highest speed" in note for note in notes)

@@ -96,8 +96,8 @@ def test_the_strongest_orders_and_the_distance_to_the_next():
     found = ripple_results([ripple({2: 2e-3, 7: 0.5e-3}, 6), ripple({3: 1e-3, 5: 0.8e-3}, 6)])
     lowest, highest = (found[f"strongest_order_{name}_speed"] for name in ("lowest", "highest"))
     assert (lowest.value, highest.value) == (2, 3)
-    assert "25%" in lowest.reason
-    assert "80%" in highest.reason
+    assert "25 %" in lowest.reason
+    assert "80 %" in highest.reason
     assert found["repeatable_rms"].value == pytest.approx(
         math.sqrt((2e-3**2 + 0.5e-3**2) / 2), rel=0.01
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.numerics.compiled import compiled
+from rigtool.numerics.compiled import compiled_allocating
 
 Array = NDArray[np.float64]
 
@@ -102,7 +102,7 @@ class Bench:
         return np.repeat(_arm_torque(drive, *arm), per_step)
 
 
-@compiled
+@compiled_allocating
 def _winding_excess(
     current: Array, heating: float, time_constant: float, housing_drift: float, sample_time: float
 ) -> Array:
@@ -114,7 +114,7 @@ def _winding_excess(
     return excess
 
 
-@compiled
+@compiled_allocating
 def _arm_torque(
     drive: Array, friction: float, stiffness: float, presliding_angle: float, exponent: float
 ) -> Array:

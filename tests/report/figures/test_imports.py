@@ -47,7 +47,7 @@ def test_both_shares_that_a_map_removes(unit, shown, factor):
     )
     (axes,) = figure.axes
     assert axes.get_ylabel() == f"amplitude [{shown}]"
-    assert "96.0% of what repeats, 15.0% of the raw record" in axes.get_xlabel()
+    assert "96.0 % of what repeats, 15.0 % of the raw record" in axes.get_xlabel()
     before, after = (np.array([bar.get_height() for bar in bars]) for bars in axes.containers)
     np.testing.assert_allclose(before, factor * amplitude[:12])
     np.testing.assert_allclose(after, factor * amplitude[:12] / 4)

@@ -85,7 +85,8 @@ def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None)
         (
             *found.notes(groups[0]),
             f"that is of the mean over the turns and its orders up to {len(found.mapped)}; of the "
-            f"variance of the records, noise included, it would have removed {of_record:.1%}",
+            "variance of the records, noise included, it would have removed "
+            f"{100 * of_record:.1f} %",
         ),
     )
 
@@ -219,13 +220,13 @@ class _Compared:
         head = f"{turns} of {runs} at {group.label()}: "
         degrees, u = math.degrees(match.shift), math.degrees(match.shift_u)
         if self.fits:
-            verdict = f"the table fits: it would have removed {removed:.1%} of what repeats"
+            verdict = f"the table fits: it would have removed {100 * removed:.1f} % of what repeats"
         elif self.shifted:
             left = math.sqrt(max(0.0, 1 - match.best_correlation**2))
             verdict = (
                 f"the table does not fit: it is the same map, shifted by {degrees:.2f} +- {u:.2f} "
-                f"deg; shifting it by that is enough, and leaves {left:.1%}: find what is not "
-                "tied to the rotor, such as another index or another motor nearby"
+                f"deg; shifting it by that is enough, and leaves {100 * left:.1f} %: find what is "
+                "not tied to the rotor, such as another index or another motor nearby"
             )
         else:
             verdict = (

@@ -94,7 +94,7 @@ def _pattern(found: TableHealth, counts: int) -> list[str]:
             f" (or it is shifted by {math.degrees(found.shift.value):.3g} deg, or by more than "
             f"{math.degrees(found.reach):.3g}: a part of the turn does not show which)"
         )
-    return [f"{what}; shift and scale leave {found.unexplained.value:.0%} of its variance"]
+    return [f"{what}; shift and scale leave {100 * found.unexplained.value:.0f} % of its variance"]
 
 
 def _shifted(shift: HealthChange, left: float, counts: int) -> str:

@@ -65,7 +65,10 @@ def test_what_the_map_leaves_is_the_difference_of_complex_orders():
     assert results["remaining_rms"].value == pytest.approx(after, rel=1e-2)
     assert results["removed"].value == pytest.approx(1 - after / before, abs=1e-3)
     assert found.left_part == pytest.approx(power(left) / power(shown), rel=2e-2)
-    assert f"it would have removed {1 - math.sqrt(found.left_part):.1%}" in found.notes(group)[0]
+    assert (
+        f"it would have removed {100 * (1 - math.sqrt(found.left_part)):.1f} %"
+        in found.notes(group)[0]
+    )
     assert found.notes(group)[0].startswith("6 turns of 2 runs at 6.1 rad/s: the table fits")
     for k in (3, 7, 12):
         expected = 1 - abs(left[k]) / abs(shown[k])

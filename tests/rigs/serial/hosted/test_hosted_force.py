@@ -128,7 +128,7 @@ def test_loads_and_friction_are_within_their_uncertainty(
 @pytest.mark.parametrize(
     ("period", "rev_per_s", "why"),
     [
-        (0.01, 2.0, r"recording load_003: the output passes 90 deg at .* \(limit: 30% off\)"),
+        (0.01, 2.0, r"recording load_003: the output passes 90 deg at .* \(limit: 30 % off\)"),
         (0.004, 4.0, r"go up and down 3\.27 times a second, .* of 5 Hz lets 2\.5 pass: set"),
     ],
 )
@@ -164,7 +164,7 @@ def test_steps_of_position_are_in_the_uncertainty_or_refused(world, chain):
     assert read.value > 1.5 * friction  # it is wrong,
     assert abs(read.value - friction) < 2 * read.u  # and known to be
     assert any("mN m at the output, which is in the uncertainty" in n for n in outcome.notes)
-    with pytest.raises(InsufficientDataError, match=r"13\.\d mN m .* more than 3\.5 mN m, 10% of"):
+    with pytest.raises(InsufficientDataError, match=r"13\.\d mN m .* more than 3\.5 mN m, 10 % of"):
         chain(MEASURE_FORCE, *force_rig(world, "toy", 0.01, 2.0, **options))
 
 
@@ -212,6 +212,6 @@ def test_friction_is_within_its_uncertainty(world, chain, name, period, u):
 def test_friction_by_steps_of_position_is_refused(world, chain):
     device, rig = emulated(world, "toy", 0.01, *HOLDS, make_drive=make_positions_only)
     with pytest.raises(
-        InsufficientDataError, match=r"torque between set points .* 10% of the torque"
+        InsufficientDataError, match=r"torque between set points .* 10 % of the torque"
     ):
         chain(STRIBECK, device, rig)
