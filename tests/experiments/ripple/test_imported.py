@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from rigtool.errors import RunFileError, UsageError
-from rigtool.experiments.ripple.imported import _notes, _pairs, _results, _unpaired
+from rigtool.experiments.ripple.imported import (
+    _notes,
+    _pairs,
+    _reduction_text,
+    _results,
+    _unpaired,
+)
 from rigtool.experiments.ripple.imported_groups import RepeatedRuns
 from rigtool.experiments.ripple.orders import NO_ATTENUATION, remove_offset, spectrum
 from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
@@ -336,6 +342,17 @@ def test_results_are_of_the_pair_with_most_turns_and_other_conditions_off():
             assert found[f"order_{order}_{what}_reduction"].value == pytest.approx(0.8, abs=0.01)
     assert _results(groups[4:5], [], effort)["order_2_amplitude"].dof == 22
     assert _results([group(2.0, turns=1)], [], effort)["order_2_amplitude"].dof is None
+
+
+def test_reductions_are_listed_of_orders_that_the_reference_shows():
+    low, high = group(2.0, compensation=0.0), group(2.0, compensation=1.0)
+    motion, torque = _reduction_text(low, high, "current").split("; ")
+    for text, name in ((motion, "motion"), (torque, "current")):
+        head, factors = text.split(", order by order, ")
+        assert head == f"ripple of the {name} times"
+        found = [each.split(": ") for each in factors.split(", ")]
+        assert [order for order, _ in found][:2] == ["2", "5"]
+        np.testing.assert_allclose([float(factor) for _, factor in found[:2]], 0.2, atol=0.01)
 
 
 def test_notes_count_turns_and_name_what_is_not_separated():

@@ -1,5 +1,8 @@
 """What a grid of hypotheses leaves open."""
 
+from itertools import product
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -8,6 +11,8 @@ from rigtool.experiments.torque_constant.hypotheses import (
     LONGEST_TIME_CONSTANT,
     SHORTEST_TIME_CONSTANT,
     TAU_STEP,
+    _ranges,
+    _search,
     _untried,
 )
 from rigtool.experiments.torque_constant.staircase import plateaus_of_set_point
@@ -45,6 +50,54 @@ def test_friction_is_tried_as_well_with_every_time_constant(monkeypatch):
     assert len(beside) >= 11
     assert min(beside) == pytest.approx(SHORTEST_TIME_CONSTANT)
     assert max(beside) == pytest.approx(LONGEST_TIME_CONSTANT)
+
+
+class Bell:
+    """Hypotheses as probable as a normal distribution over the logarithms of s, tau, exponent."""
+
+    def __init__(self, centre, width):
+        rise = np.linspace(0.0, 0.2, 11)
+        self.stairs = SimpleNamespace(
+            courses=SimpleNamespace(torque=rise[None], setpoint=20 * rise[None])
+        )
+        self.centre, self.width, self.places = centre, width, []
+
+    def try_all(self, axes):
+        place = np.array(list(product(*axes)))
+        self.places.append(place)
+        square = np.sum(((place - self.centre) / self.width) ** 2, axis=1)
+        return list(place), square, place
+
+
+@pytest.mark.parametrize("part", [0.1, 0.2])
+def test_finer_grids_stand_for_their_part_of_the_coarse_one(part):
+    """Mean and standard deviation of a normal distribution come back, whatever grid shows it."""
+    low, high = _ranges(Bell(0, 0).stairs, None)
+    bell = Bell(low + np.array([0.45, 0.5, 0.52]) * (high - low), part * (high - low))
+    # plateaus rise by a tenth: their friction begins within a quarter of it
+    np.testing.assert_allclose(np.exp(low), [0.02 / 4, 2.0, 0.5], rtol=1e-9)
+    np.testing.assert_allclose(np.exp(high), [2.0, 300.0, 2.0], rtol=1e-9)
+    tried = _search(bell, None, 3)
+    weight = tried.volume * np.exp(-tried.square / 2)
+    weight /= weight.sum()
+    mean = weight @ tried.slope
+    std = np.sqrt(weight @ (tried.slope - mean) ** 2)
+    np.testing.assert_allclose(mean[0], bell.centre[0], atol=0.15 * bell.width[0])
+    np.testing.assert_allclose(mean[2], bell.centre[2], atol=0.15 * bell.width[2])
+    np.testing.assert_allclose(std[:2] / bell.width[:2], 1, atol=0.2)
+    assert len(bell.places) == 4
+    spans = np.array([np.ptp(place[:, 0]) for place in bell.places])
+    assert (spans[1:] <= spans[:-1] * 0.5).all()  # each covers the best of the one before
+    assert np.ptp(bell.places[-1][:, 1]) == pytest.approx(high[1] - low[1])  # all of tau again
+
+
+def test_a_single_lag_is_not_searched():
+    bell = Bell(np.zeros(4), 1.0)
+    _search(bell, (0.01, 0.01), 1)
+    assert all((place[:, 3] == np.log(0.01)).all() for place in bell.places)
+    _search(bell, (0.01, 0.12), 0)
+    lags = np.unique(bell.places[-1][:, 3])
+    np.testing.assert_allclose(lags[[0, -1]], np.log([0.01, 0.12]))
 
 
 def test_what_all_staircases_have_in_common_makes_the_loss_by_heat_uncertain():

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from scipy import stats
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant import staircase_fit
@@ -243,6 +244,12 @@ def test_what_the_ripple_is_uncertain_by(thesis):
     carried = 2e-3 / np.sqrt(2) * 0.02 / np.ptp(bare.level)
     more = np.hypot(found.deviation, carried) - found.deviation
     assert_allclose(u, np.linalg.norm([1e-6, deflected, more, carried / np.sqrt(6)]), rtol=0.02)
+    # a gauge that rounds by its zero: the root mean square of what each place adds
+    angle = bare.rotor_angle
+    errors = np.stack([3e-6 * np.cos(angle), 4e-6 * np.cos(angle) + 1e-3])
+    _, u, _ = of(rounding=errors)
+    rounded = math.sqrt((3e-6**2 + 4e-6**2) / 2) * np.std(np.cos(angle))
+    assert_allclose(u, np.linalg.norm([1e-6, deflected, rounded]), rtol=1e-6)
     _, own, _ = of(friction_share=0.1)
     offset = 1e-3 * np.cos(2 * bare.rotor_angle)
     _, u, _ = of(friction_share=0.1, zero=offset, deflection_u=0.0)
@@ -495,6 +502,35 @@ def test_a_gap_in_time_begins_a_staircase():
     bench = Bench()
     plateaus = plateaus_of_set_point(**bench.record((20, 30), 3), arm_length=0.54, settle_time=0.08)
     assert_allclose(np.bincount(plateaus.staircase), np.full(6, 41), rtol=1e-9)
+
+
+@pytest.mark.parametrize(("gap", "staircases"), [(1.05, 1), (1.15, 2)])
+def test_a_gap_is_longer_than_samples_and_half_the_settling(gap, staircases):
+    time = np.arange(4000) * 0.01  # ten samples and half of 2 s: 1.1 s
+    setpoint = np.repeat(np.arange(10.0), 400)
+    plateaus = plateaus_of_set_point(
+        time=time + np.where(setpoint > 4, gap - 0.01, 0.0),
+        current_setpoint=setpoint,
+        current=setpoint,
+        force=setpoint,
+        temperature=np.full(4000, 25.0),
+        rotor_angle=None,
+        arm_length=0.5,
+        settle_time=2.0,
+    )
+    assert plateaus.staircase.max() + 1 == staircases
+
+
+def test_the_line_of_levels_that_lie_on_it_is_as_uncertain_as_repeats_scatter():
+    setpoint = np.repeat(np.array([0.0, 1.0, 2.0, 4.0]), 6)
+    current = 1.02 * setpoint + 3e-3 + 1e-4 * np.tile([1.0, -1.0, 2.0, -2.0, 0.5, -0.5], 4)
+    found = amplifier_linearity(SimpleNamespace(current_setpoint=setpoint, current=current))
+    line = stats.linregress(setpoint, current)
+    assert found.dof == found.deviation_dof == 20
+    part = math.sqrt(22 / 20)  # scatter about the levels, not about the line
+    assert_allclose([found.gain, found.offset], [line.slope, line.intercept], rtol=1e-9)
+    assert_allclose(found.gain_u, line.stderr * part, rtol=1e-6)
+    assert_allclose(found.offset_u, line.intercept_stderr * part, rtol=1e-6)
 
 
 def test_linearity_finds_the_worst_level():
