@@ -504,8 +504,12 @@ def test_a_gap_in_time_begins_a_staircase():
     assert_allclose(np.bincount(plateaus.staircase), np.full(6, 41), rtol=1e-9)
 
 
-@pytest.mark.parametrize(("gap", "staircases"), [(1.05, 1), (1.15, 2)])
-def test_a_gap_is_longer_than_samples_and_half_the_settling(gap, staircases):
+@pytest.mark.parametrize(
+    ("gap", "turn", "staircases"),
+    [(1.095, 0.0, 1), (1.105, 0.0, 2), (0.01, 0.009, 1), (0.01, 0.011, 2)],
+)
+def test_a_gap_is_longer_than_samples_and_half_the_settling(gap, turn, staircases):
+    """Another angle begins a staircase as well."""
     time = np.arange(4000) * 0.01  # ten samples and half of 2 s: 1.1 s
     setpoint = np.repeat(np.arange(10.0), 400)
     plateaus = plateaus_of_set_point(
@@ -514,7 +518,7 @@ def test_a_gap_is_longer_than_samples_and_half_the_settling(gap, staircases):
         current=setpoint,
         force=setpoint,
         temperature=np.full(4000, 25.0),
-        rotor_angle=None,
+        rotor_angle=np.where(setpoint > 4, turn, 0.0),
         arm_length=0.5,
         settle_time=2.0,
     )
