@@ -1,6 +1,7 @@
 """Loads on a drive whose tendon, friction and ripple are known are read with what was learned."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.learning import LearnedModel, learn_sliding
 from rigtool.experiments.force_model.model import Kind, Shape, Term
-from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
+from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS, stepped_shape
 from rigtool.experiments.load_disturbance.reading import (
     LoadedPair,
     dead_band,
@@ -141,6 +142,29 @@ def test_the_budget_holds_scatter_zero_disturbance_and_misfit(sliding, unloaded)
     finite = [line for line in budget.values() if line.dof is not None]
     assert found.quantity.dof == pytest.approx(total**4 / sum(x.u**4 / x.dof for x in finite))
     assert budget["scatter"].dof > 0
+
+
+@pytest.mark.parametrize("name", ["stiffness", "tip_friction", "housing"])
+def test_u_of_the_disturbance_is_how_far_a_parameter_moves_the_reading(sliding, unloaded, name):
+    """Also of friction that load and zero have in common, which moves nothing."""
+    model, pair = sliding.learned, compared(unloaded, 0.03)
+    count = len(SLIDING_PARAMETERS)
+    terms = [term.kind for term in model.terms]
+    number = (
+        count + terms.index(Kind.HOUSING) if name == "housing" else SLIDING_PARAMETERS.index(name)
+    )
+    step = 1e-4 if name == "housing" else 1e-2
+    unit = np.zeros(len(model.covariance))
+    unit[number] = step
+
+    def moved(way):
+        shape = stepped_shape(model.shape, way * unit[:count])
+        other = replace(model, shape=shape, coefficient=model.coefficient + way * unit[count:])
+        return read(other, pair).moment
+
+    found = read(replace(model, covariance=np.outer(unit, unit)), pair)
+    lines = [each for each in found.quantity.budget if each.name == "disturbance as learned"]
+    assert (lines[0].u if lines else 0.0) == pytest.approx(abs(moved(1) - moved(-1)) / 2, rel=0.05, abs=2e-7)
 
 
 def test_what_cycles_scatter_in_the_mean_cycle_is_taken_off_its_misfit():
