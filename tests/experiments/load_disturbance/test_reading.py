@@ -144,27 +144,25 @@ def test_the_budget_holds_scatter_zero_disturbance_and_misfit(sliding, unloaded)
     assert budget["scatter"].dof > 0
 
 
-@pytest.mark.parametrize("name", ["stiffness", "tip_friction", "housing"])
+@pytest.mark.parametrize("name", ["stiffness", "tip_friction", "coefficients"])
 def test_u_of_the_disturbance_is_how_far_a_parameter_moves_the_reading(sliding, unloaded, name):
-    """Also of friction that load and zero have in common, which moves nothing."""
+    """Also of friction and ripple that load and zero have in common."""
     model, pair = sliding.learned, compared(unloaded, 0.03)
     count = len(SLIDING_PARAMETERS)
-    terms = [term.kind for term in model.terms]
-    number = (
-        count + terms.index(Kind.HOUSING) if name == "housing" else SLIDING_PARAMETERS.index(name)
-    )
-    step = 1e-4 if name == "housing" else 1e-2
-    unit = np.zeros(len(model.covariance))
-    unit[number] = step
+    step = np.zeros(len(model.covariance))
+    if name == "coefficients":
+        step[count:] = 1e-4 * np.random.default_rng(1).standard_normal(len(model.terms))
+    else:
+        step[SLIDING_PARAMETERS.index(name)] = 1e-2
 
     def moved(way):
-        shape = stepped_shape(model.shape, way * unit[:count])
-        other = replace(model, shape=shape, coefficient=model.coefficient + way * unit[count:])
+        shape = stepped_shape(model.shape, way * step[:count])
+        other = replace(model, shape=shape, coefficient=model.coefficient + way * step[count:])
         return read(other, pair).moment
 
-    found = read(replace(model, covariance=np.outer(unit, unit)), pair)
-    lines = [each for each in found.quantity.budget if each.name == "disturbance as learned"]
-    assert (lines[0].u if lines else 0.0) == pytest.approx(abs(moved(1) - moved(-1)) / 2, rel=0.05, abs=2e-7)
+    found = read(replace(model, covariance=np.outer(step, step)), pair)
+    (line,) = (each for each in found.quantity.budget if each.name == "disturbance as learned")
+    assert line.u == pytest.approx(abs(moved(1) - moved(-1)) / 2, rel=0.05)
 
 
 def test_what_cycles_scatter_in_the_mean_cycle_is_taken_off_its_misfit():
