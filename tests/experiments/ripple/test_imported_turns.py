@@ -110,6 +110,17 @@ def test_one_turn_has_the_noise_of_the_orders_around():
     assert np.mean(floors) == pytest.approx(math.sqrt(4 / POSITIONS), rel=0.06, abs=0)
 
 
+@pytest.mark.parametrize("backwards", [False, True])
+def test_samples_of_a_steady_motion_are_a_step_apart(backwards):
+    """Which Sampling needs; nothing of it where samples skip cells."""
+    angle = 0.2 + np.arange(4001) * (3.2 / 4000)
+    time, torque = np.arange(4001) * 1e-2, np.cos(2 * np.pi * 3 * angle)
+    found = find_turns(time, -angle if backwards else angle, torque, POSITIONS)
+    assert found.step == pytest.approx(3.2 / 4000, rel=1e-9)
+    skipping = angle + np.where(np.arange(4001) % 50 == 0, 2.5 / POSITIONS, 0.0)
+    assert find_turns(time, skipping, torque, POSITIONS).step == 0
+
+
 def test_reduction_with_its_uncertainty():
     zero = np.zeros(3)
     order = np.arange(1.0, 4)

@@ -16,7 +16,11 @@ from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant import staircase_fit
 from rigtool.experiments.torque_constant.hypotheses import weigh_hypotheses
 from rigtool.experiments.torque_constant.ripple_over_turn import ripple_over_turn
-from rigtool.experiments.torque_constant.staircase import amplifier_linearity, plateaus_of_set_point
+from rigtool.experiments.torque_constant.staircase import (
+    Linearity,
+    amplifier_linearity,
+    plateaus_of_set_point,
+)
 from rigtool.experiments.torque_constant.staircase_fit import (
     _solve,
     _trend_scatter,
@@ -26,6 +30,7 @@ from rigtool.experiments.torque_constant.staircase_model import HEATING_TIME, Co
 from rigtool.experiments.torque_constant.temperature_fit import (
     Calibration,
     _fit_temperature,
+    _require_linear,
     calibrate,
 )
 from rigtool.numerics.angle_effects import AngleEffects
@@ -476,6 +481,43 @@ def test_torque_scales_the_constant_and_nothing_else(factor, seed):
     assert_allclose(other.mean.value, one.mean.value * factor, rtol=1e-6)
     assert_allclose(other.mean.u, one.mean.u * factor, rtol=1e-3)
     assert_allclose(other.coefficient.value, one.coefficient.value, rtol=1e-4)
+    alike = (
+        "heating heating_u heating_dof lasting_heating lasting_heating_u lasting_heating_spread "
+        "lasting_heating_path friction_u friction_dof friction_share deflection deflection_u "
+        "exponent time_constant temperature level dof hysteresis_dof"
+    )
+    scaled = (
+        "slope first first_u zero u transition span rising falling hysteresis hysteresis_u trend_u"
+    )
+    for names, size in ((alike, 1.0), (scaled, factor)):
+        for name in names.split():
+            a, b = (getattr(found.slopes, name) for found in (one, other))
+            limit = 1e-3 * size * np.max(np.abs(a))
+            assert_allclose(b, np.multiply(a, size), rtol=2e-3, atol=limit, err_msg=name)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(("off", "refused"), [(0.98, False), (1.02, True)])
+def test_an_amplifier_is_straight_within_a_part_of_the_span_or_four_u(sign, off, refused):
+    level = np.array([-1.0, 0.0, 3.0])
+    for limit, u in ((5e-3 * 4.0, 1e-3), (4 * 0.01, 0.01)):
+        found = Linearity(sign * 1.0, 0, 0, 0, 1, off * limit, u, 1, level, level, np.zeros(3))
+        if refused:
+            with pytest.raises(InsufficientDataError, match=r"deviates by .* from a straight line"):
+                _require_linear(found)
+        else:
+            _require_linear(found)
+
+
+@pytest.mark.parametrize(("gain", "refused"), [(0.11, False), (0.09, True), (9, False), (11, True)])
+def test_an_amplifier_gives_between_a_tenth_and_ten_times_of_what_it_is_asked(gain, refused):
+    level = np.array([-1.0, 0.0, 3.0])
+    found = Linearity(gain, 0, 0, 0, 1, 0.0, 0.0, 1, level, level, np.zeros(3))
+    if refused:
+        with pytest.raises(InsufficientDataError, match="for 1 A of set point"):
+            _require_linear(found)
+    else:
+        _require_linear(found)
 
 
 def test_plateaus_leave_the_settling_out():
