@@ -6,12 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rigtool.errors import RunFileError, UsageError
+from rigtool.errors import InsufficientDataError, RunFileError, UsageError
+from rigtool.experiments.ripple import imported
 from rigtool.experiments.ripple.imported import (
     _notes,
     _pairs,
     _reduction_text,
     _results,
+    _turning,
     _unpaired,
 )
 from rigtool.experiments.ripple.imported_groups import RepeatedRuns
@@ -342,6 +344,25 @@ def test_results_are_of_the_pair_with_most_turns_and_other_conditions_off():
             assert found[f"order_{order}_{what}_reduction"].value == pytest.approx(0.8, abs=0.01)
     assert _results(groups[4:5], [], effort)["order_2_amplitude"].dof == 22
     assert _results([group(2.0, turns=1)], [], effort)["order_2_amplitude"].dof is None
+
+
+def test_parts_of_a_file_without_turns_are_left_out_and_whole_files_refused(monkeypatch):
+    def turns(recording, kt, positions):
+        if recording.short:
+            raise InsufficientDataError("a part of a turn")
+        return recording.name.upper()
+
+    def part(name, short):
+        return SimpleNamespace(name=name, path="a.h5", short=short)
+
+    monkeypatch.setattr(imported, "turns_of", turns)
+    parts = [part("imported_a", False), part("imported_b", True), part("imported_c", False)]
+    found = _turning(parts, None, 500)
+    assert found == ([parts[0], parts[2]], ["IMPORTED_A", "IMPORTED_C"], ["a.h5, imported_b"])
+    with pytest.raises(InsufficientDataError):
+        _turning(parts[1:2], None, 500)
+    with pytest.raises(InsufficientDataError):
+        _turning([parts[0], part("imported", True)], None, 500)
 
 
 def test_reductions_are_listed_of_orders_that_the_reference_shows():

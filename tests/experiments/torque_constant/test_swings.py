@@ -107,6 +107,24 @@ def test_noise_of_courses_is_taken_off_and_swings_are_kept():
     assert_allclose(left, error, rtol=0.5)
 
 
+@pytest.mark.parametrize("shape", [(40, 40), (20, 40), (60, 15)])
+@pytest.mark.parametrize(("part", "kept"), [(0.995, False), (1.005, True)])
+def test_what_stands_out_of_noise_is_beyond_the_optimal_hard_threshold(shape, part, kept):
+    """Gavish and Donoho 2014: 4/sqrt(3) for square matrices, equation 11 for others."""
+    ratio = min(shape) / max(shape)
+    limit = np.sqrt(2 * (ratio + 1) + 8 * ratio / (ratio + 1 + np.sqrt(ratio**2 + 14 * ratio + 1)))
+    if ratio == 1:
+        assert_allclose(limit, 4 / np.sqrt(3))
+    rng = np.random.default_rng(2)
+    left, right = (np.linalg.qr(rng.standard_normal((n, 1)))[0] for n in shape)
+    values = part * limit * np.sqrt(max(shape)) * 0.1 * left @ right.T
+    found, noise = without_noise(values, 0.1)
+    assert_allclose(found, values if kept else 0.0, atol=1e-12)
+    # of the noise, one singular vector either side is left
+    expected = 0.1 * np.sqrt(sum(shape) / (shape[0] * shape[1])) if kept else 0.0
+    assert_allclose(noise, expected, rtol=1e-9)
+
+
 RIPPLE = 0.02 * np.tile([1.0, 0.3, -1.0, -0.3], 4)
 WARM = np.repeat([20.0, 40.0], 8)
 

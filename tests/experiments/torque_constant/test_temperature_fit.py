@@ -496,6 +496,20 @@ def test_torque_scales_the_constant_and_nothing_else(factor, seed):
             assert_allclose(b, np.multiply(a, size), rtol=2e-3, atol=limit, err_msg=name)
 
 
+def test_a_staircase_that_was_broken_off_counts_as_far_as_it_went():
+    bench = Bench(force_noise=5e-5)
+    signals = bench.record((20, 50), angles=2)
+    plateaus = plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08)
+    last = np.flatnonzero(plateaus.staircase == 2)[-7:]
+    kept = {name: np.delete(values, last, axis=0) for name, values in vars(plateaus).items()}
+    one, other = (fit_staircases(each) for each in (plateaus, type(plateaus)(**kept)))
+    assert_allclose(other.slope, one.slope, rtol=1e-3)
+    assert_allclose(other.zero, one.zero, atol=3e-5)
+    assert other.dof < one.dof
+    assert_allclose(other.hysteresis, one.hysteresis, rtol=0.02)
+    assert_allclose(other.heating, one.heating, rtol=0.2)
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize(("off", "refused"), [(0.98, False), (1.02, True)])
 def test_an_amplifier_is_straight_within_a_part_of_the_span_or_four_u(sign, off, refused):
