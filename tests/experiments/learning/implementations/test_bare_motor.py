@@ -1,6 +1,7 @@
 """Recordings of a bare motor: when they are steady, and the motions that make them."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -80,3 +81,12 @@ def test_a_sweep_goes_from_the_highest_speed_backwards_to_that_forwards(recipe):
 
 def test_speeds_between_are_half_way_in_both_directions(recipe):
     assert bare_motor.between(recipe) == pytest.approx([0.65, -0.65, 3.0, -3.0])
+
+
+def test_the_steady_part_is_counted_from_the_first_sample():
+    conditions = {"steady_from": 0.95, "steady_until": 1.95}
+    recording = SimpleNamespace(condition=conditions.get)
+    time = 7.0 + 0.1 * np.arange(30)
+    assert bare_motor._steady_part(recording, time) == slice(10, 20)
+    assert bare_motor._steady_part(recording, time[:15]) == slice(10, 15)
+    assert bare_motor._steady_part(recording, time[:0]) == slice(0, 0)
