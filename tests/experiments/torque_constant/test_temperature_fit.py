@@ -15,7 +15,7 @@ from scipy import stats
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant import staircase_fit
 from rigtool.experiments.torque_constant.hypotheses import weigh_hypotheses
-from rigtool.experiments.torque_constant.ripple_over_turn import ripple_over_turn
+from rigtool.experiments.torque_constant.ripple_over_turn import first_ripple, ripple_over_turn
 from rigtool.experiments.torque_constant.staircase import (
     Linearity,
     amplifier_linearity,
@@ -260,6 +260,26 @@ def test_what_the_ripple_is_uncertain_by(thesis):
     _, u, _ = of(friction_share=0.1, zero=offset, deflection_u=0.0)
     own = math.sqrt(own**2 - deflected**2)
     assert_allclose(u, np.hypot(own, 0.025 * 1e-3 / np.sqrt(2) / np.ptp(bare.level)), rtol=0.02)
+
+
+@pytest.mark.parametrize("rise", [0.0, 1.0])
+def test_ripple_of_small_currents_is_scatter_about_a_line_without_its_own(rise):
+    degc = 20 + rise * np.array([0.0, 10.0, 20.0, 30.0, 5.0])
+    first = 0.05 + 1e-4 * np.array([1.0, -2.0, 0.5, 1.5, -0.4]) - 2e-5 * degc
+    slopes = SimpleNamespace(temperature=degc, first=first, first_u=np.zeros(5))
+    if rise:
+        line = stats.linregress(degc, first)
+        scatter = line.stderr * np.sqrt(np.sum((degc - degc.mean()) ** 2))
+    else:
+        scatter = np.std(first, ddof=1)
+    free = 3 if rise else 4
+    assert_allclose(first_ripple(slopes).value, scatter / np.mean(first), rtol=1e-6)
+    # own scatter is taken off, but for the standard deviation of its square
+    for part in (0.5, 2.0):
+        slopes.first_u = np.full(5, part * scatter)
+        left = max(1 - part**2, 0) + part**2 * np.sqrt(2 / free)
+        expected = scatter * np.sqrt(left) / np.mean(first)
+        assert_allclose(first_ripple(slopes).value, expected, rtol=1e-6)
 
 
 def test_the_smearing_of_an_order_is_that_of_a_line_of_least_squares():
