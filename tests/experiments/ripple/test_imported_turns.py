@@ -220,6 +220,15 @@ def test_orders_that_samples_at_the_same_angles_do_not_tell_apart(order):
             assert leak[-1] == pytest.approx(1, rel=1e-6, abs=0)
 
 
+@pytest.mark.parametrize("highest", [18, 19, 20, 21])
+def test_aliases_are_looked_for_up_to_the_highest_order(highest):
+    """Of 20 samples at equal angles of each turn, orders 20 - k and 20 + k show as order k."""
+    alias, leak = aliases(np.arange(200) / 20 + 0.3, 3, highest)
+    expected = [20 - k if 20 - k <= highest else np.nan for k in (1, 2, 3)]
+    np.testing.assert_array_equal(alias, expected)
+    np.testing.assert_allclose(leak, np.isfinite(expected), atol=1e-9)
+
+
 def test_an_alias_is_in_the_turns():
     found = find_turns(*evenly(60.0, 80, ((36, 0.3, 0.0),), noise=0.01), POSITIONS)
     found_orders = orders_of(found.torque, found.orders)
