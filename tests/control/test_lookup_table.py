@@ -47,6 +47,14 @@ def test_agrees_with_scipy_on_the_table_written_out():
     )
 
 
+def test_the_smallest_table_has_two_positions_and_a_speed():
+    table = LookupTable(
+        np.array([1.0, 3.0]), np.array([2.0]), np.array([[4.0, 8.0]]), np.array([0.0, 2.0]), [0, 1]
+    )
+    found = table.evaluate(np.array([1.5, 1.5, 9.0]), np.array([2.0, 1.0, 3.0]))
+    np.testing.assert_allclose(found, [5.0, 2.5, 8.0], rtol=1e-12)
+
+
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 6])
 def test_any_number_of_low_speeds_scales_in_both_directions(count):
     low = np.array([0.0, *np.linspace(0.3, 1.2, count), 1.5])

@@ -7,10 +7,13 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from rigtool.control.position_loop import (
+    RunningController,
     TransferFunction,
     controller_sections,
     double_integrator,
+    largest_deviation,
     position_loop,
+    stable_one_sample_late,
 )
 from tests.other_tools import control
 
@@ -164,3 +167,38 @@ def test_a_transfer_function_of_nothing_is_refused():
         TransferFunction.from_z(np.zeros(3), np.ones(2), SAMPLE_TIME)
     with pytest.raises(ValueError, match="positive"):
         TransferFunction.from_z([1], [1, 0.5], 0.0)
+
+
+SLOWER = THESIS | {"sample_time": 1e-3, "lowpass_hz": 200.0}
+
+
+@pytest.mark.parametrize("integrator_hz", [8.0, 0.0])
+def test_the_running_controller_is_scipys_filter_of_its_sections(integrator_hz):
+    sections = controller_sections(**SLOWER | {"integrator_hz": integrator_hz})
+    error = np.random.default_rng(1).standard_normal(50)
+    running = RunningController(sections)
+    found = [running.torque(each) for each in error]
+    np.testing.assert_allclose(found, signal.sosfilt(sections, error), rtol=1e-9)
+
+
+@pytest.mark.parametrize("crossover_hz", [10.0, 50.0])
+def test_the_largest_deviation_is_the_peak_of_the_step_response(crossover_hz):
+    design = SLOWER | {"crossover_hz": crossover_hz}
+    loop = position_loop(**design).process_sensitivity
+    num = np.pad(loop.num, (loop.relative_degree, 0))
+    answer = signal.lfilter(num, loop.den, np.ones(300))
+    assert 5 < np.argmax(answer) < 100
+    assert largest_deviation(**design) == pytest.approx(answer.max(), rel=1e-6)
+
+
+def test_a_sample_of_delay_is_a_pole_at_zero_in_the_loop():
+    verdicts = []
+    for crossover_hz in np.geomspace(20, 190, 12):
+        design = SLOWER | {"crossover_hz": crossover_hz}
+        loop = position_loop(**design)
+        late = np.append(np.convolve(loop.controller.den, loop.plant.den), 0.0)
+        closed = np.polyadd(late, np.convolve(loop.controller.num, loop.plant.num))
+        verdicts.append(stable_one_sample_late(**design))
+        assert verdicts[-1] == (np.abs(np.roots(closed)).max() < 1)
+    assert verdicts == sorted(verdicts, reverse=True)
+    assert verdicts.count(True) not in (0, 12)

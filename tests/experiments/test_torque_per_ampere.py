@@ -5,7 +5,9 @@ import pytest
 
 from rigtool.errors import RunFileError
 from rigtool.experiments.torque_per_ampere import (
+    effort_of,
     mean_constant,
+    temperature_at_ends,
     torque_per_ampere,
     with_constant,
 )
@@ -101,6 +103,68 @@ def test_what_is_proportional_to_the_constant_shares_its_uncertainty():
     assert found.dof == pytest.approx(10 * (5 / 3) ** 4, rel=1e-12)
     bare = Quantity(2.0, "N m", reason="not repeated")
     assert with_constant(bare, constant) is bare
+
+
+class Imported:
+    """Signals of two samples and conditions, as a recording has them."""
+
+    path, name, size = "a.h5", "imported", 2
+
+    def __init__(self, *signals, **conditions):
+        self.signals = {name: np.array([1.0, 2.0]) * (n + 1) for n, name in enumerate(signals)}
+        self.conditions = conditions
+
+    def has(self, name):
+        return name in self.signals
+
+    def read(self, name):
+        return self.signals[name]
+
+    def condition(self, name):
+        return self.conditions[name]
+
+
+@pytest.mark.parametrize(
+    ("signals", "conditions", "unit", "name", "first", "relative_u"),
+    [
+        (("torque", "current"), {}, "N m", "torque", 1.0, None),
+        (("force", "current"), {"linear_axis": 1.0}, "N", "force", 1.0, None),
+        (("relative_torque",), {}, "1", "relative_torque", 1.0, 0.0),
+        (("relative_torque", "current"), {}, "A", "current", 2.0, 0.0),
+        (("current_setpoint",), {}, "A", "current", 1.0, 0.0),
+        (("current_setpoint", "current"), {}, "A", "current", 2.0, 0.0),
+        (("current",), {"torque_constant": 0.05}, "N m", "torque", 0.05, None),
+        (
+            ("current",),
+            {"torque_constant": 0.05, "torque_constant_u": 1e-3},
+            *("N m", "torque", 0.05, 0.02),
+        ),
+        (("current",), {"torque_constant": 0.05, "linear_axis": 1.0}, "A", "current", 1.0, 0.0),
+    ],
+)
+def test_an_effort_is_torque_where_a_constant_is_known(
+    signals, conditions, unit, name, first, relative_u
+):
+    found = effort_of(Imported(*signals, **conditions), None)
+    assert (found.unit, found.name) == (unit, name)
+    np.testing.assert_allclose(found.values, [first, 2 * first], rtol=1e-12)
+    assert found.relative_u == (None if relative_u is None else pytest.approx(relative_u))
+
+
+def test_a_constant_that_is_given_counts_before_the_torque_of_a_drive(tmp_path):
+    with calibration(tmp_path / "kt.h5") as kt:
+        measured = effort_of(Imported("torque", "current"), kt)
+        asked = effort_of(Imported("torque", "current_setpoint"), kt)
+        alone = effort_of(Imported("torque"), kt)
+    assert measured.values[0] == pytest.approx(2 * 0.0454, rel=1e-12)
+    assert measured.relative_u == pytest.approx(3e-4, rel=1e-9)
+    assert asked.values[0] == pytest.approx(2 * 0.0454 * 1.02, rel=1e-12)
+    assert asked.relative_u == pytest.approx(5e-4, rel=1e-9)
+    assert alone.values[0] == 1.0
+
+
+def test_a_recording_without_a_thermometer_has_no_temperature():
+    assert np.isnan(temperature_at_ends(Imported("current"))).all()
 
 
 def test_only_a_calibration_has_a_constant(tmp_path):

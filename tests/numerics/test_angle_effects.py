@@ -5,7 +5,14 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from rigtool.numerics.angle_effects import _quantiles, fit_angle_effects
+from rigtool.numerics.angle_effects import (
+    ERROR_FACTORS,
+    _as_student,
+    _effect,
+    _given,
+    _quantiles,
+    fit_angle_effects,
+)
 from tests.thorough import thorough
 
 
@@ -60,6 +67,94 @@ def test_the_deviation_is_as_uncertain_as_its_amplitude():
     value = 5.0 + 0.3 * np.cos(angle + 1) + noise
     found = fit_angle_effects(np.ones((24, 1)), value, np.full(24, 0.01), angle)
     assert_allclose(found.deviation_u, 0.01 / np.sqrt(24), rtol=0.5)
+
+
+def drawn(count, orders, seed=5):
+    rng = np.random.default_rng(seed)
+    x = np.column_stack([np.ones(count), rng.standard_normal(count)])
+    return x, 2 + rng.standard_normal(count), rng.standard_normal((count, 2 * orders))
+
+
+@pytest.mark.parametrize("count", [5, 14])  # fewer and more values than columns
+def test_a_hypothesis_is_as_probable_as_its_normal_distribution_without_the_mean(count):
+    """Restricted likelihood (D. A. Harville, Biometrika 61, 383, 1974), from whole covariances."""
+    x, y, z = drawn(count, 2)
+    amplitude = np.array([0.3, 2.0])
+    weight, mean, within = _given(x, y, z, amplitude)
+    expected = []
+    for size in amplitude:
+        for factor in ERROR_FACTORS:
+            v = size**2 * z @ z.T + factor**2 * np.eye(count)
+            inverse = np.linalg.inv(v)
+            covariance = np.linalg.inv(x.T @ inverse @ x)
+            beta = covariance @ x.T @ inverse @ y
+            rest = y - x @ beta
+            log = -0.5 * (np.linalg.slogdet(v)[1] - np.linalg.slogdet(covariance)[1])
+            log -= 0.5 * rest @ inverse @ rest
+            expected.append((log - np.log(factor), beta, covariance))  # an even prior, and 1/factor
+    logs, betas, covariances = zip(*expected, strict=True)
+    assert_allclose(weight - weight[0], np.array(logs) - logs[0], rtol=1e-7, atol=1e-9)
+    assert_allclose(mean, betas, rtol=1e-7, atol=1e-12)
+    assert_allclose(within, covariances, rtol=1e-7, atol=1e-12)
+
+
+def test_amplitudes_and_deviation_are_those_of_all_hypotheses():
+    x, y, z = drawn(9, 3)
+    amplitude, highest = np.array([0.3, 2.0]), (0, 2, 3)
+    rng = np.random.default_rng(6)
+    probable = rng.dirichlet(np.ones(len(highest) * len(amplitude) * len(ERROR_FACTORS)))
+    probable[:3] = [2e-5, 5e-5, 1e-5]  # too little to count
+    effect, means, stds, kept = np.zeros(6), [], [], probable > 1e-4
+    weight = probable[kept] / probable[kept].sum()
+    grid = [(k, a, f) for k in highest for a in amplitude for f in ERROR_FACTORS]
+    for (order, size, factor), share in zip(
+        (one for one, use in zip(grid, kept, strict=True) if use), weight, strict=True
+    ):
+        own = z[:, : 2 * order]
+        v = factor**2 * np.eye(9) + size**2 * own @ own.T
+        projected = np.linalg.inv(v)
+        projected -= projected @ x @ np.linalg.inv(x.T @ projected @ x) @ x.T @ projected
+        mean = size**2 * own.T @ projected @ y
+        covariance = size**2 * np.eye(2 * order) - size**4 * own.T @ projected @ own
+        effect[: 2 * order] += share * mean
+        square = (mean @ mean + np.trace(covariance)) / 2
+        variance = (np.sum(covariance**2) + 2 * mean @ covariance @ mean) / 2  # of half a square
+        means.append(np.sqrt(square))
+        stds.append(np.sqrt(variance / square) / 2 if square else 0.0)
+    found, deviation = _effect(x, y, z, probable, amplitude, highest)
+    assert_allclose(found, effect, rtol=1e-7, atol=1e-12)
+    floor = 1e-9 * max(means)
+    expected = _as_student(weight, np.array(means), np.maximum(stds, floor))
+    assert_allclose(deviation, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("dof", [5.0, 30.0])
+def test_a_mixture_like_student_has_his_degrees_of_freedom(dof):
+    """A normal distribution whose variance is drawn (W. S. Gosset, Biometrika 6, 1, 1908)."""
+    part = (np.arange(4000) + 0.5) / 4000
+    std = 0.2 * np.sqrt(dof / stats.chi2(dof).ppf(part))
+    value, u, found = _as_student(np.full(4000, 1 / 4000), np.full(4000, 3.0), std)
+    assert_allclose([value, u], [3.0, 0.2], rtol=2e-3)
+    assert_allclose(found, dof, rtol=0.03)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7])
+def test_units_angles_and_what_the_design_explains_change_nothing(turn):
+    rng = np.random.default_rng(8)
+    angle = 2 * np.pi * np.arange(10) / 10
+    x = np.column_stack([np.ones(10), np.arange(10.0)])
+    value = 5 + 0.1 * np.cos(angle) + 0.01 * rng.standard_normal(10)
+    one = fit_angle_effects(x, value, np.full(10, 0.01), angle)
+    more = np.array([2.0, -3.0])
+    moved = 1000 * (value + x @ more)
+    other = fit_angle_effects(x, moved, np.full(10, 10.0), angle + turn)
+    assert_allclose(other.parameters, 1000 * (one.parameters + more), rtol=1e-6)
+    assert_allclose(other.covariance, 1e6 * one.covariance, rtol=1e-5)
+    assert_allclose(other.dof, one.dof, rtol=1e-4)
+    assert_allclose(other.effect, 1000 * one.effect, atol=1e-4)
+    for name in ("deviation", "deviation_u"):
+        assert_allclose(getattr(other, name), 1000 * getattr(one, name), rtol=1e-4)
+    assert_allclose(other.deviation_dof, one.deviation_dof, rtol=1e-3)
 
 
 @pytest.mark.parametrize("spread", [0.0, 0.5, 30.0])  # thirty: where there is next to no density

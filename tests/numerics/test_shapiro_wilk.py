@@ -20,6 +20,15 @@ def test_probabilities_are_those_of_scipy(seed, count, distribution):
     assert p_value(values) == pytest.approx(expected, rel=1e-6, abs=1e-12)
 
 
+@pytest.mark.parametrize("count", range(3, 13))
+@pytest.mark.parametrize("power", [1, 3, 30])
+def test_few_readings_with_or_without_an_outlier_are_scipys(count, power):
+    values = np.sort(np.random.default_rng(count).standard_normal(count)) ** power
+    values.sort()
+    expected = shapiro(values).pvalue
+    assert p_value(values) == pytest.approx(expected, rel=1e-6, abs=1e-12)
+
+
 def test_two_readings_are_too_few():
     with pytest.raises(ValueError, match="needs 3"):
         p_value(np.array([0.0, 1.0]))

@@ -44,6 +44,20 @@ def test_u_is_the_scatter_of_the_means_of_many_series(part, count):
     assert 0.93 < within.mean() < (0.97 if count == 39 else 1.0)
 
 
+@pytest.mark.parametrize("part", [1.0, 0.0, -0.9])
+def test_u_is_that_of_the_covariance_of_readings(part):
+    """Also where all is paid back, and where neighbours are alike."""
+    count, series = 200, 40
+    values = payback(part, series, count, seed=9)
+    covariance = (1 + part**2) * np.eye(count)
+    covariance -= part * (np.eye(count, k=1) + np.eye(count, k=-1))
+    expected = np.sqrt(weights(count) @ covariance @ weights(count))
+    found = steady_us(list(values.T))
+    assert np.sqrt(np.mean([u**2 for u, _ in found])) == pytest.approx(expected, rel=0.1)
+    if part == 0:  # p is common and known: only the size is each series' own
+        np.testing.assert_allclose([dof for _, dof in found], count - 1, rtol=0.1)
+
+
 def test_payback_makes_the_mean_better_than_one_of_equal_weights():
     values = payback(0.9, 4000, 40)
     assert np.std(steady_mean(values)) < 0.6 * np.std(values.mean(axis=0))

@@ -43,6 +43,13 @@ def test_values_at_one_angle_are_averaged_first():
     assert_allclose(found.u, np.std([3, 6, 9], ddof=1) / np.sqrt(3))
 
 
+def test_one_value_has_no_scatter_and_none_no_mean():
+    one, none = (mean_over_turn(np.full(n, 2.0), np.full(n, 7.0)) for n in (1, 0))
+    assert (one.value, one.dof) == (7.0, 0)
+    assert none.dof == 0
+    assert np.isnan([one.u, one.scatter, none.value, none.u, none.scatter]).all()
+
+
 def test_values_without_angles_are_repeats():
     values = np.array([1.0, 2.0, 4.0])
     found = mean_over_turn(np.full(3, np.nan), values)

@@ -53,7 +53,7 @@ def cells_for(encoder_counts: int) -> int:
 
     Multiples of c in n cells are aliases of multiples of their greatest common divisor.
     """
-    numbers = range(2 * HIGHEST_ORDER + 1, 8 * WAVEFORM_CELLS)
+    numbers = range(1, 8 * WAVEFORM_CELLS)
     apart = [n for n in numbers if math.gcd(n, encoder_counts) > HIGHEST_ORDER]
     return min(apart, key=lambda n: abs(n - WAVEFORM_CELLS), default=WAVEFORM_CELLS)
 

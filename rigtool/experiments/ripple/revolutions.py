@@ -25,7 +25,7 @@ class Revolutions:
 
     def __init__(self, positions: int, *, forward: bool) -> None:
         self._positions = positions
-        self._sign = 1.0 if forward else -1.0
+        self._forward = forward
         self._samples = 0
         # The last sample, where blocks are joined.
         self._time, self._advance, self._torque = (np.zeros(0) for _ in range(3))
@@ -43,7 +43,7 @@ class Revolutions:
         """
         if not time.size:
             return
-        advance = turns if self._sign > 0 else -turns
+        advance = turns if self._forward else -turns
         if not self._samples:
             self._next_edge = math.ceil(advance[0]) * self._positions
             self._start = float(advance[0])
@@ -130,4 +130,4 @@ class Revolutions:
         used = cells[first : first + revolutions * self._positions]
         waveforms: Array = used.reshape(revolutions, self._positions)
         # Backwards, the last cell of the turn is passed first.
-        return waveforms if self._sign > 0 else waveforms[:, ::-1]
+        return waveforms if self._forward else waveforms[:, ::-1]

@@ -261,7 +261,7 @@ def fit_constant(runs: Sequence[Points]) -> CurrentFit:
     if speed is None and np.ptp(way) > 1:
         add("driven", way, FRICTION * torques)  # a motor that drives a brake turns with its torque
     if not turning and not all(run.plateaus for run in runs):
-        part = (current - current.min()) / np.ptp(current)
+        part = current / np.ptp(current)  # cosine and sine together have any phase
         for half_waves in range(1, RIPPLE_WAVES + 1):
             for wave in (np.cos, np.sin):
                 add("ripple", wave(np.pi * half_waves * part), RIPPLE * torques)

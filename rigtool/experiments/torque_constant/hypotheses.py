@@ -186,7 +186,7 @@ def _ways(stairs: Stairs) -> list[tuple[float, float] | None]:
 def _search(means: _Means, lag: tuple[float, float] | None, finer: int) -> _Tried:
     """Try hypotheses with lags of this range on a coarse grid, and on so many finer ones."""
     low, high = _ranges(means.stairs, lag)
-    centre, half = (low + high) / 2, (high - low) / 2
+    centre, half, wide = (low + high) / 2, (high - low) / 2, high > low
     found: list[_Tried] = []
     for level in range(1 + finer):
         begin, end = np.maximum(centre - half, low), np.minimum(centre + half, high)
@@ -195,15 +195,14 @@ def _search(means: _Means, lag: tuple[float, float] | None, finer: int) -> _Trie
             begin[TAU], end[TAU], counts[TAU] = low[TAU], high[TAU], ALL_OF_TAU
         numbers = [n if e > b else 1 for n, b, e in zip(counts, begin, end, strict=False)]
         axes = [np.linspace(b, e, n) for b, e, n in zip(begin, end, numbers, strict=True)]
-        step = np.where(end > begin, (end - begin) / np.maximum(np.array(numbers) - 1, 1), 1.0)
+        step = (end - begin) / np.maximum(np.array(numbers) - 1, 1)
         for part in found:  # the finer grid stands for its part of the coarse one
             part.volume[np.all((part.place >= begin) & (part.place <= end), axis=1)] = 0.0
         place = np.array(list(product(*axes)))
-        whole = float(np.prod(np.where(high > low, high - low, 1.0)))
-        volume = np.full(len(place), float(np.prod(step)) / whole)
+        volume = np.full(len(place), np.prod(step[wide] / (high - low)[wide]))
         commons, square, slope = means.try_all(axes)
         found.append(_Tried(commons, place, volume, square, slope))
-        centre, half = place[int(np.argmin(square))], np.where(high > low, 1.5 * step, 0.0)
+        centre, half = place[int(np.argmin(square))], 1.5 * step
     return _joined(found)
 
 

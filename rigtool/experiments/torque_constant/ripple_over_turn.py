@@ -49,9 +49,7 @@ def ripple_over_turn(found: AngleEffects, value: float, slopes: Slopes, *, known
     path = math.hypot(deviation, begin) * RIPPLE_PATH_U * slopes.friction_share
     smear = deviation * SMEARED * turned
     more = math.hypot(deviation, left) - deviation  # of phases that have nothing in common
-    effect = found.effect - np.mean(found.effect)
-    errors = slopes.rounding - slopes.rounding.mean(axis=1, keepdims=True)
-    rounding = np.std(effect + errors, axis=1) - np.std(effect)
+    rounding = np.std(found.effect + slopes.rounding, axis=1) - np.std(found.effect)
     lines = [
         error_line("scatter", found.deviation_u / value, "1", found.deviation_dof),
         error_line("path of friction", path / value, "1"),

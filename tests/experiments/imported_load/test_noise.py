@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rigtool.experiments.imported_load.learning import learn_load_model
-from rigtool.experiments.imported_load.noise import EffortNoise, learned_noise, noise_of
+from rigtool.experiments.imported_load.noise import EffortNoise, _lag, learned_noise, noise_of
 from rigtool.numerics.lowpass import delayed, lowpass
 from tests.experiments.imported_load.loaded_drive import (
     RATE,
@@ -72,6 +72,19 @@ def test_the_lag_of_a_low_pass_is_found_by_its_noise(pole_hz):
     assert learned.beyond(EffortNoise(np.full(8, 0.01), 0.0), 5.0) == (0, 0)  # less noise alone
     filtered = learned_noise([EffortNoise(power, 0.0)])
     assert filtered.beyond(EffortNoise(np.ones(8), 0.0), 5.0)[1] == pytest.approx(lag, rel=0.3)
+
+
+def test_a_pole_makes_all_ratios_tell_one_lag():
+    """r = 1 + (f / f_p)^2 in the middles of octaves, those from 2 on."""
+    frequency = 5.0 * 2.0 ** (np.arange(8) + 1.5)
+    for pole_hz in (6.0, 30.0, 400.0):
+        ratio = 1 + (frequency / pole_hz) ** 2
+        expected = 1 / (2 * np.pi * pole_hz)
+        assert _lag(ratio, 5.0) == pytest.approx(expected, rel=1e-9)
+        ratio[5:] = np.nan  # beyond half the sampling frequency
+        assert _lag(ratio, 5.0) == pytest.approx(expected if pole_hz < 100 else 0, rel=1e-9)
+    assert _lag(np.r_[1.0, 30.0, [np.nan] * 6], 5.0) > 0
+    assert _lag(np.r_[30.0, [np.nan] * 7], 5.0) == 0
 
 
 def test_rounding_counts_where_noise_does_not_spread_it():

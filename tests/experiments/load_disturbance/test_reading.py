@@ -1,6 +1,7 @@
 """Loads on a drive whose tendon, friction and ripple are known are read with what was learned."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.learning import LearnedModel, learn_sliding
 from rigtool.experiments.force_model.model import Kind, Shape, Term
-from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
+from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS, stepped_shape
 from rigtool.experiments.load_disturbance.reading import (
     LoadedPair,
     dead_band,
@@ -141,6 +142,27 @@ def test_the_budget_holds_scatter_zero_disturbance_and_misfit(sliding, unloaded)
     finite = [line for line in budget.values() if line.dof is not None]
     assert found.quantity.dof == pytest.approx(total**4 / sum(x.u**4 / x.dof for x in finite))
     assert budget["scatter"].dof > 0
+
+
+@pytest.mark.parametrize("name", ["stiffness", "tip_friction", "coefficients"])
+def test_u_of_the_disturbance_is_how_far_a_parameter_moves_the_reading(sliding, unloaded, name):
+    """Also of friction and ripple that load and zero have in common."""
+    model, pair = sliding.learned, compared(unloaded, 0.03)
+    count = len(SLIDING_PARAMETERS)
+    step = np.zeros(len(model.covariance))
+    if name == "coefficients":
+        step[count:] = 1e-4 * np.random.default_rng(1).standard_normal(len(model.terms))
+    else:
+        step[SLIDING_PARAMETERS.index(name)] = 1e-2
+
+    def moved(way):
+        shape = stepped_shape(model.shape, way * step[:count])
+        other = replace(model, shape=shape, coefficient=model.coefficient + way * step[count:])
+        return read(other, pair).moment
+
+    found = read(replace(model, covariance=np.outer(step, step)), pair)
+    (line,) = (each for each in found.quantity.budget if each.name == "disturbance as learned")
+    assert line.u == pytest.approx(abs(moved(1) - moved(-1)) / 2, rel=0.05)
 
 
 def test_what_cycles_scatter_in_the_mean_cycle_is_taken_off_its_misfit():

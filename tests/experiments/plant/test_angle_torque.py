@@ -22,12 +22,15 @@ def low(values):
     return np.fft.rfft(np.ravel(values))[1 : PERIODS * LINES[-1] + 1]
 
 
-def experiment(turns, seed, by_angle, noise=1e-6):
-    """Return a shaft that turns evenly while it swings at the lines, and its input without and
-    with the torque that depends on its angle."""
+def experiment(turns, seed, by_angle, noise=1e-6, beside=0.0):
+    """Return a shaft that turns evenly while it swings at the lines, and by `beside` rad at others,
+    and its input without and with the torque that depends on its angle."""
     rng = np.random.default_rng(seed)
-    frequency = LINES / (SAMPLES * SAMPLE_TIME)
-    swing = 0.05 * np.exp(2j * np.pi * rng.random(len(LINES))) * (frequency / frequency[0]) ** -1.0
+    others = np.setdiff1d(np.arange(1, PERIODS * LINES[-1]), PERIODS * LINES) / PERIODS
+    number = np.append(LINES, others)
+    frequency = number / (SAMPLES * SAMPLE_TIME)
+    size = np.repeat([0.05, beside], [len(LINES), len(others)]) * LINES[0] / number
+    swing = size * np.exp(2j * np.pi * rng.random(len(number)))
     waves = np.exp(2j * np.pi * np.outer(TIME, frequency))
     output = (waves @ swing).real
     plain = (waves @ (swing / FIT.response(frequency))).real + noise * rng.standard_normal(COUNT)
@@ -51,9 +54,13 @@ def by_angle(angle, speed):
     )
 
 
-@pytest.mark.parametrize("turns", [(5, -9), (-6, -12), (7, 16)])
-def test_what_the_angle_adds_is_taken_off(turns):
-    made = [experiment(n, seed, by_angle) for seed, n in enumerate((*turns, -turns[0]))]
+@pytest.mark.parametrize(
+    ("turns", "beside"), [((5, -9), 0.0), ((-6, -12), 0.0), ((7, 16), 0.0), ((5, -9), 1e-3)]
+)
+def test_what_the_angle_adds_is_taken_off(turns, beside):
+    made = [
+        experiment(n, seed, by_angle, beside=beside) for seed, n in enumerate((*turns, -turns[0]))
+    ]
     found = without_angle_torque([own for _, own in made], LINES, FIT)
     for (plain, own), after in zip(made, found, strict=True):
         added = np.abs(low(own.input - plain))

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from rigtool.control.plant_models import PlantModel
 from rigtool.errors import InsufficientDataError
@@ -126,6 +127,11 @@ def test_what_a_possible_second_mass_would_change_is_an_uncertainty_beside_scatt
     assert fit.model.rigid
     assert 1e-4 < fit.rigid_rejected < 0.05
     assert not fit.possible.model.rigid
+    # two values a line, less five and eight parameters: the F test of nested models
+    free, more = 2 * len(FREQUENCY) - 5, 2 * len(FREQUENCY) - 8
+    left, rest = fit.misfit**2 * free, fit.possible.misfit**2 * more
+    test = stats.f(3, more).sf((left - rest) / 3 / (rest / more))
+    assert fit.rigid_rejected == pytest.approx(test, rel=1e-6)
     constant = Quantity(0.05, "N m/A", 1e-5)
     plant = IdentifiedPlant(measured(RIGID, 0), fit, constant, swing=0.5)
     for name in ("inertia", "viscous"):

@@ -113,6 +113,23 @@ def test_too_few_experiments_and_lines_that_are_not_excited_are_refused():
         frequency_response(made, np.append(LINES, 111), SAMPLE_TIME)
 
 
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize(("quiet", "refused"), [(2e-5, False), (5e-6, True)])
+def test_a_line_is_quiet_beside_the_others_in_any_unit(unit, quiet, refused):
+    made = experiments(3, 0.1)
+    spectrum = np.fft.rfft(made[0].reference, axis=-1)
+    # all alike, and one this many times below
+    spectrum[:, LINES] = 1.0
+    spectrum[:, LINES[3]] = quiet
+    reference = unit * np.fft.irfft(spectrum, made[0].reference.shape[-1], axis=-1)
+    one = replace(made[0], reference=reference)
+    if refused:
+        with pytest.raises(InsufficientDataError, match=f"line {LINES[3]} of the period"):
+            frequency_response([one, *made[1:]], LINES, SAMPLE_TIME)
+    else:
+        frequency_response([one, *made[1:]], LINES, SAMPLE_TIME)
+
+
 def test_some_lines_of_a_response():
     found = frequency_response(experiments(4, 0.1), LINES, SAMPLE_TIME)
     keep = LINES > 20

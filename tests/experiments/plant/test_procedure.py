@@ -8,6 +8,7 @@ import pytest
 
 from rigtool.errors import InsufficientDataError, RecipeError, RunFileError
 from rigtool.experiments.plant import procedure as identify_plant
+from rigtool.experiments.plant.frequency_response import Experiment
 from rigtool.experiments.plant.procedure import PROCEDURE as IDENTIFY_PLANT
 from rigtool.experiments.plant.procedure_excitation import (
     excitations,
@@ -359,6 +360,26 @@ def test_the_excitation_keeps_to_its_limits(attachment):
                 np.abs(torque)[None].repeat(int(periods), 0),
                 rtol=1e-9,
             )
+
+
+def test_the_swing_is_the_peak_of_the_excited_speed_alone():
+    rng = np.random.default_rng(4)
+    lines, count, step = np.array([2, 5, 9]), 200, 1e-3
+    time = np.arange(count) * step
+    omega = 2 * np.pi * lines / (count * step)
+
+    def waves(amplitude, more=0):
+        return np.real(np.exp(1j * np.outer(time, omega + more)) @ amplitude)
+
+    reference = rng.standard_normal(3) + 1j * rng.standard_normal(3)
+    answer = np.array([0.3j, -0.1, 0.05 + 0.02j]) * reference
+    # the second period has the excitation turned over; what is beside the lines is not excited
+    beside = waves(0.5 * np.ones(3), 2 * np.pi / (count * step))
+    output = np.stack([waves(answer), -waves(answer)]) + beside
+    output += np.array([[1.0], [1.0]]) * waves(np.full(3, 0.2))  # ripple, alike in both
+    made = Experiment(np.stack([waves(reference), -waves(reference)]), output, output, output)
+    expected = np.abs(waves(1j * omega * answer)).max()
+    assert identify_plant._swing(made, lines, step) == pytest.approx(expected, rel=1e-9)
 
 
 def test_turns_are_cut_into_equal_parts():

@@ -6,8 +6,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rigtool.errors import RunFileError, UsageError
-from rigtool.experiments.ripple.imported import _notes, _pairs, _results, _unpaired
+from rigtool.errors import InsufficientDataError, RunFileError, UsageError
+from rigtool.experiments.ripple import imported
+from rigtool.experiments.ripple.imported import (
+    _notes,
+    _pairs,
+    _reduction_text,
+    _results,
+    _turning,
+    _unpaired,
+)
 from rigtool.experiments.ripple.imported_groups import RepeatedRuns
 from rigtool.experiments.ripple.orders import NO_ATTENUATION, remove_offset, spectrum
 from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
@@ -336,6 +344,36 @@ def test_results_are_of_the_pair_with_most_turns_and_other_conditions_off():
             assert found[f"order_{order}_{what}_reduction"].value == pytest.approx(0.8, abs=0.01)
     assert _results(groups[4:5], [], effort)["order_2_amplitude"].dof == 22
     assert _results([group(2.0, turns=1)], [], effort)["order_2_amplitude"].dof is None
+
+
+def test_parts_of_a_file_without_turns_are_left_out_and_whole_files_refused(monkeypatch):
+    def turns(recording, kt, positions):
+        if recording.short:
+            raise InsufficientDataError("a part of a turn")
+        return recording.name.upper()
+
+    def part(name, short):
+        return SimpleNamespace(name=name, path="a.h5", short=short)
+
+    monkeypatch.setattr(imported, "turns_of", turns)
+    parts = [part("imported_a", False), part("imported_b", True), part("imported_c", False)]
+    found = _turning(parts, None, 500)
+    assert found == ([parts[0], parts[2]], ["IMPORTED_A", "IMPORTED_C"], ["a.h5, imported_b"])
+    with pytest.raises(InsufficientDataError):
+        _turning(parts[1:2], None, 500)
+    with pytest.raises(InsufficientDataError):
+        _turning([parts[0], part("imported", True)], None, 500)
+
+
+def test_reductions_are_listed_of_orders_that_the_reference_shows():
+    low, high = group(2.0, compensation=0.0), group(2.0, compensation=1.0)
+    motion, torque = _reduction_text(low, high, "current").split("; ")
+    for text, name in ((motion, "motion"), (torque, "current")):
+        head, factors = text.split(", order by order, ")
+        assert head == f"ripple of the {name} times"
+        found = [each.split(": ") for each in factors.split(", ")]
+        assert [order for order, _ in found][:2] == ["2", "5"]
+        np.testing.assert_allclose([float(factor) for _, factor in found[:2]], 0.2, atol=0.01)
 
 
 def test_notes_count_turns_and_name_what_is_not_separated():

@@ -110,6 +110,17 @@ def test_one_turn_has_the_noise_of_the_orders_around():
     assert np.mean(floors) == pytest.approx(math.sqrt(4 / POSITIONS), rel=0.06, abs=0)
 
 
+@pytest.mark.parametrize("backwards", [False, True])
+def test_samples_of_a_steady_motion_are_a_step_apart(backwards):
+    """Which Sampling needs; nothing of it where samples skip cells."""
+    angle = 0.2 + np.arange(4001) * (3.2 / 4000)
+    time, torque = np.arange(4001) * 1e-2, np.cos(2 * np.pi * 3 * angle)
+    found = find_turns(time, -angle if backwards else angle, torque, POSITIONS)
+    assert found.step == pytest.approx(3.2 / 4000, rel=1e-9)
+    skipping = angle + np.where(np.arange(4001) % 50 == 0, 2.5 / POSITIONS, 0.0)
+    assert find_turns(time, skipping, torque, POSITIONS).step == 0
+
+
 def test_reduction_with_its_uncertainty():
     zero = np.zeros(3)
     order = np.arange(1.0, 4)
@@ -207,6 +218,15 @@ def test_orders_that_samples_at_the_same_angles_do_not_tell_apart(order):
         if aliased:
             assert alias[-1] in {60 - min(order, 25), 60 + min(order, 25), 120 - min(order, 25)}
             assert leak[-1] == pytest.approx(1, rel=1e-6, abs=0)
+
+
+@pytest.mark.parametrize("highest", [18, 19, 20, 21])
+def test_aliases_are_looked_for_up_to_the_highest_order(highest):
+    """Of 20 samples at equal angles of each turn, orders 20 - k and 20 + k show as order k."""
+    alias, leak = aliases(np.arange(200) / 20 + 0.3, 3, highest)
+    expected = [20 - k if 20 - k <= highest else np.nan for k in (1, 2, 3)]
+    np.testing.assert_array_equal(alias, expected)
+    np.testing.assert_allclose(leak, np.isfinite(expected), atol=1e-9)
 
 
 def test_an_alias_is_in_the_turns():

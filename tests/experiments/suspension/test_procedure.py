@@ -32,7 +32,8 @@ def test_the_computed_stiffness_has_the_u_of_each_dimension():
             for way in (1, -1)
         )
         slope = (up - down) / (2 * step)
-        assert line.contribution == pytest.approx(abs(slope) * us[line.name], rel=1e-5)
+        assert line.sensitivity == pytest.approx(slope, rel=1e-5)
+        assert line.u == pytest.approx(us[line.name], rel=1e-9)
     assert len(computed().budget) == sum(u > 0 for u in us.values())
 
 

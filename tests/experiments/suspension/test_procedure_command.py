@@ -53,6 +53,7 @@ def test_weights_that_are_off_are_in_the_stiffness(tmp_path, capsys):
     spring = results["spring_constant"]
     assert spring["value"] == pytest.approx(true / (1 + off), rel=2e-3)
     (line,) = (x for x in spring["budget"] if x["name"] == "weights")
+    assert line["value"] == 1  # the weights as stated, over what they are
     assert line["u"] * line["sensitivity"] == pytest.approx(off * spring["value"], rel=1e-9)
     assert abs(spring["value"] - true) < 2 * spring["u"]
     eigen, deflection = results["eigenfrequency"], results["pretension_deflection"]

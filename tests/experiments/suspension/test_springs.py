@@ -82,3 +82,28 @@ def test_it_is_the_second_order_of_the_turn(angle):
     energy = 14.5e3 * (E * np.sin(near)) ** 2 / 2
     spring, _ = eccentric_torque(angle, eccentricity=E, stiffness=14.5e3, mass=1.0, speed=0.0)
     assert float(spring) == pytest.approx(float(np.diff(energy)[0]) / 2e-4, rel=0, abs=1e-11)
+
+
+@pytest.mark.parametrize(("ratio", "refused"), [(3.05, False), (2.95, True), (-30.0, True)])
+def test_a_spring_shows_where_it_yields_by_three_u(ratio, refused):
+    force, scatter = np.array([0.0, 1.0, 2.0, 3.0, 4.0]), np.array([1.0, -1.0, 0.0, -1.0, 1.0])
+    left = scatter - np.polyval(np.polyfit(force, scatter, 1), force)
+    u = linregress(force, left).stderr
+    deflection = ratio * u * force + left
+    if refused:
+        with pytest.raises(InsufficientDataError, match="at least 3 u are needed"):
+            spring_curve(force, deflection)
+    else:
+        found = spring_curve(force, deflection)
+        assert found.stiffness == pytest.approx(1 / (ratio * u), rel=1e-9)
+        assert found.stiffness_u == pytest.approx(found.stiffness**2 * u, rel=1e-9)
+
+
+@pytest.mark.parametrize(("apart", "refused"), [(1e-7, False), (1e-10, True)])
+def test_forces_are_different_beyond_their_rounding(apart, refused):
+    force = 200.0 * (1 + apart * np.arange(6.0))
+    if refused:
+        with pytest.raises(InsufficientDataError, match="forces are 200 N"):
+            spring_curve(force, force)
+    else:
+        assert spring_curve(force, force / 1e4).stiffness == pytest.approx(1e4, rel=1e-2)

@@ -7,7 +7,15 @@ import pytest
 from scipy.stats import t as student
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.torque_constant.current_levels import Course, find_points, fit_constant
+from rigtool.experiments.torque_constant.current_levels import (
+    Course,
+    Points,
+    _Column,
+    _Fit,
+    _one_way,
+    find_points,
+    fit_constant,
+)
 
 PER_LEVEL = 60
 
@@ -152,6 +160,71 @@ def test_ramps_with_friction_that_turns_at_once_and_slow_ripple(ripple):
         errors.append((fit.constant - constant) / fit.constant_u)
         assert abs(fit.constant / constant - 1) < 0.008 + 2.5 * ripple
     assert np.max(np.abs(errors)) < 2.5
+
+
+def test_a_fit_weighs_residuals_and_prior_sizes_by_their_variance():
+    """Linear regression with normal priors (A. Gelman et al., Bayesian Data Analysis, 14.8)."""
+    random = np.random.default_rng(5)
+    count = 400
+    x, z = random.standard_normal((2, count))
+    torque = 2.0 * x + 0.3 * z + 0.5 * random.standard_normal(count)
+    size, prior = 0.02, 0.1
+    fit = _Fit([_Column("constant", x), _Column("change", z, prior, size)], torque)
+    design, precision = np.column_stack([x, z]), np.diag([0.0, size**-2])
+    share = fit.independent / count
+    assert 0.7 < share <= 1  # white residuals
+    inverse = np.linalg.inv(share / fit.variance * design.T @ design + precision)
+    right = share / fit.variance * design.T @ torque + precision @ [0.0, prior]
+    np.testing.assert_allclose(fit.found, inverse @ right, rtol=1e-4)
+    assert fit.variance == pytest.approx(0.25, rel=0.2)
+    assert fit.free == pytest.approx(fit.independent - 1, rel=1e-9)
+    left = torque - design @ fit.found
+    penalty = ((fit.found[1] - prior) / size) ** 2
+    expected = np.mean(left**2) + penalty * fit.variance / fit.independent
+    assert fit.misfit == pytest.approx(expected, rel=1e-4)
+    value, u = fit.estimate({"constant": 1.0, "change": 3.0})
+    assert value == pytest.approx(fit.found @ [1.0, 3.0], rel=1e-9)
+    assert u == pytest.approx(np.sqrt([1.0, 3.0] @ inverse @ [1.0, 3.0]), rel=1e-4)
+    flat = _Fit([_Column("constant", x), _Column("zero", z)], torque)
+    line = np.linalg.lstsq(design, torque, rcond=None)[0]
+    np.testing.assert_allclose(flat.found, line, rtol=1e-9)
+    variance = np.sum((torque - design @ line) ** 2) / (count - 2)
+    u = np.sqrt(variance * np.linalg.inv(design.T @ design)[0, 0])
+    u /= np.sqrt(flat.independent / count)
+    assert flat.estimate({"constant": 1.0})[1] == pytest.approx(u, rel=0.02)
+
+
+def test_a_current_goes_one_way_between_turns_beyond_the_band():
+    values = np.array([0.0, 1.0, 0.9, 2.0, 3.0, 2.95, 2.0, 2.05, 1.0, 1.5])
+    followed = _one_way(values, 0.2)
+    np.testing.assert_array_equal(followed, [0, 1, 1, 2, 3, 2.95, 2, 2, 1, 1.5])
+    np.testing.assert_array_equal(_one_way(-values, 0.2), -followed)
+    points = Points(values, values, None, None, np.diff(followed, prepend=0.0), np.arange(10), True)
+    assert points.ways == pytest.approx((3.5, 2.0))
+
+
+@pytest.mark.parametrize("kind", ["staircase", "ramp"])
+def test_units_of_current_and_torque_change_nothing_else(kind):
+    _, recorded = draw(kind, 4)
+    amperes, unit = 16.0, 0.25
+    moved = replace(recorded, current=amperes * recorded.current, torque=unit * recorded.torque)
+    one, other = (fit_constant([find_points(each)]) for each in (recorded, moved))
+    size = unit / amperes
+    for name, factor in (
+        ("constant", size),
+        ("constant_u", size),
+        ("dof", 1.0),
+        ("curvature_u", 1.0),
+        ("temperature", 1.0),
+        ("reference", size),
+        ("coefficient", 1.0),
+        ("hysteresis", unit),
+        ("current", amperes),
+        ("measured", unit),
+        ("model", unit),
+    ):
+        a, b = (np.array(getattr(fit, name)) for fit in (one, other))
+        np.testing.assert_allclose(b, factor * a, rtol=1e-4, atol=1e-7 * factor, err_msg=name)
 
 
 def test_a_clamped_shaft_that_leaped_once_does_not_turn():

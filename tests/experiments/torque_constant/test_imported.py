@@ -1,7 +1,9 @@
 """`calibrate-kt` on imported runs, and its result as --kt of another command."""
 
 import json
+import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import pytest
 from rigtool.errors import RunFileError
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
+from rigtool.experiments.torque_constant.imported import _results
 from rigtool.experiments.torque_constant.procedure import PROCEDURE
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.runfile import open_run
@@ -51,6 +54,34 @@ def test_a_force_on_an_arm_gives_a_constant_for_other_commands(tmp_path):
     with open_run(tmp_path / "kt.h5") as run:
         mean = torque_per_ampere(run)
     assert mean.value == outcome.results["torque_constant_mean"].value
+
+
+def test_results_have_the_lines_of_fit_curvature_and_sensor():
+    fit = SimpleNamespace(
+        constant=0.05,
+        constant_u=1e-4,
+        dof=9.0,
+        curvature_u=3e-3,
+        reference=(0.051, 2e-4),
+        coefficient=(-1e-3, 2e-4),
+        hysteresis=(4e-3, 1e-4),
+    )
+    found = _results(fit, 2e-3, np.array([20.0, 24.0, 30.0]))
+    for name, value, u in (
+        ("torque_constant_mean", 0.05, 1e-4),
+        ("torque_constant", 0.051, 2e-4),
+    ):
+        expected = math.hypot(u, value * 3e-3, value * 2e-3)
+        assert (found[name].value, found[name].u) == pytest.approx((value, expected), rel=1e-9)
+        assert found[name].dof == pytest.approx(9 * (expected / u) ** 4, rel=1e-9)
+    # over half the range of temperatures
+    error = found["torque_constant_constant_error"]
+    assert (error.value, error.u, error.dof) == pytest.approx((5e-3, 1e-3, 9), rel=1e-9)
+    change = found["torque_constant_temperature_coefficient"]
+    assert (change.value, change.u, change.dof) == (-1e-3, 2e-4, 9)
+    assert (found["hysteresis_torque"].value, found["hysteresis_torque"].u) == (4e-3, 1e-4)
+    fit.reference = fit.coefficient = fit.hysteresis = None
+    assert list(_results(fit, 2e-3, np.full(3, 25.0))) == ["torque_constant_mean"]
 
 
 def test_a_run_without_a_sensor_is_refused(tmp_path):

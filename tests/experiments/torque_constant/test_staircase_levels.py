@@ -110,6 +110,9 @@ def test_hysteresis_is_that_of_the_middle_third_with_the_scatter_of_staircases()
     off = friction[:, None] * way
     middle = np.abs(stairs.setpoint - 2.0) < 4.0 / 6 + 0.01
     off[~middle] = 1.0  # outside of it nothing counts
+    # wherever the current begins
+    moved = SimpleNamespace(**vars(stairs) | {"setpoint": stairs.setpoint - 1.5})
+    assert hysteresis(moved, off) == hysteresis(stairs, off)
     found, u, dof = hysteresis(stairs, off)
     assert found == pytest.approx(2 * friction.mean(), rel=1e-9)
     assert u == pytest.approx(stats.sem(2 * friction), rel=1e-9)

@@ -36,3 +36,31 @@ def test_heat_is_that_of_the_current_in_warm_copper():
     # the model takes the mean of both ends of a plateau for its middle
     assert_allclose(found, np.interp(begin + 0.4, time, heat), rtol=0.01)
     assert_allclose(lagging, degc, rtol=1e-12)
+
+
+def test_the_winding_lags_behind_a_housing_that_warms_evenly():
+    """T' = (T_h - T) / tau: behind by rate * tau * (1 - exp(-t / tau))."""
+    begin = np.arange(100.0)[None]
+    degc = 30.0 + 0.02 * begin
+    stairs = SimpleNamespace(begin=begin, end=begin + 0.8, current=0 * begin, temperature=degc)
+    heat, lagging = winding(stairs, TIME_CONSTANT)
+    assert_allclose(heat, 0)
+    expected = -0.02 * TIME_CONSTANT * -np.expm1(-begin / TIME_CONSTANT)
+    assert_allclose(lagging - degc, expected, rtol=0.02, atol=1e-3)
+
+
+def test_heat_that_is_left_from_the_staircase_before():
+    """Pauses of 8 s: a quarter of the time constant."""
+    levels, count = np.array([2.0, 4.0, 3.0]), 3
+    begin = np.array([1.0 * np.arange(3) + 10 * k for k in range(count)])
+    degc = np.full((count, 3), 20.0)
+    stairs = SimpleNamespace(
+        begin=begin, end=begin + 1.0, current=np.tile(levels, (count, 1)), temperature=degc
+    )
+    found, _ = winding(stairs, TIME_CONSTANT)
+    time = np.arange(0, 25, STEP)
+    current = np.zeros(len(time))
+    for first, level in zip(begin.ravel(), np.tile(levels, count), strict=True):
+        current[(time >= first) & (time < first + 1.0)] = level
+    heat = heat_in_small_steps(time, current, 20.0)
+    assert_allclose(found, np.interp(begin + 0.5, time, heat), rtol=0.02)

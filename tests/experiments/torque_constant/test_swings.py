@@ -6,6 +6,8 @@ from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
 from rigtool.experiments.torque_constant.swings import (
+    _behind,
+    _torque_changes,
     friction_state,
     longest_lag,
     mean_courses,
@@ -105,6 +107,61 @@ def test_noise_of_courses_is_taken_off_and_swings_are_kept():
     error = np.sqrt(np.mean((found - rows) ** 2))
     assert error < 0.4 * 0.01
     assert_allclose(left, error, rtol=0.5)
+
+
+@pytest.mark.parametrize("shape", [(40, 40), (20, 40), (60, 15)])
+@pytest.mark.parametrize(("part", "kept"), [(0.995, False), (1.005, True)])
+def test_what_stands_out_of_noise_is_beyond_the_optimal_hard_threshold(shape, part, kept):
+    """Gavish and Donoho 2014: 4/sqrt(3) for square matrices, equation 11 for others."""
+    ratio = min(shape) / max(shape)
+    limit = np.sqrt(2 * (ratio + 1) + 8 * ratio / (ratio + 1 + np.sqrt(ratio**2 + 14 * ratio + 1)))
+    if ratio == 1:
+        assert_allclose(limit, 4 / np.sqrt(3))
+    rng = np.random.default_rng(2)
+    left, right = (np.linalg.qr(rng.standard_normal((n, 1)))[0] for n in shape)
+    values = part * limit * np.sqrt(max(shape)) * 0.1 * left @ right.T
+    found, noise = without_noise(values, 0.1)
+    assert_allclose(found, values if kept else 0.0, atol=1e-12)
+    # of the noise, one singular vector either side is left
+    expected = 0.1 * np.sqrt(sum(shape) / (shape[0] * shape[1])) if kept else 0.0
+    assert_allclose(noise, expected, rtol=1e-9)
+
+
+def test_behind_a_low_pass_the_torque_of_the_plateau_before_fades():
+    torque, lag = np.array([0.5, 2.0, 1.0]), np.array([1.0, 3.0, 20.0])
+    found = _behind(np.zeros((3, 12)), torque, lag)
+    middle = np.arange(12) + 0.5  # a value is the mean over its part of the time
+    before = np.array([0.0, 0.5 - 2.0, 2.0 - 1.0])
+    assert_allclose(found, before[:, None] * np.exp(-middle / lag[:, None]), rtol=1e-9)
+    swing = np.random.default_rng(1).standard_normal((3, 12))
+    at_once = _behind(swing, torque, np.zeros(3))
+    assert_allclose(at_once, swing, atol=1e-12)
+    # what comes is followed by the same law
+    late, keeps = _behind(swing, 0 * torque, lag), np.exp(-1 / lag)[:, None]
+    assert_allclose(late[:, 1:], swing[:, 1:] * (1 - keeps) + keeps * late[:, :-1], rtol=1e-9)
+
+
+@pytest.mark.parametrize("count", [4, 8])
+def test_staircases_differ_by_temperature_and_by_ripple_that_bends_them(count):
+    rng = np.random.default_rng(2)
+    setpoint = np.array([0.0, 1.0, 2.0, 3.0, 2.0, 1.0, 0.0, 0.0])
+    degc = 20 + 5.0 * np.arange(count)
+    ripple, bend = 1e-3 * rng.standard_normal((2, count))
+    constant = 0.05 * (1 - 1e-3 * (degc - degc.mean())) + ripple
+    torque = constant[:, None] * setpoint + bend[:, None] * setpoint * np.abs(setpoint)
+    score, rate, grown = _torque_changes(setpoint, torque, degc)
+    assert_allclose(torque.mean(axis=0) + score @ rate, torque, atol=1e-12)
+    warm = (degc - degc.mean()) / np.linalg.norm(degc - degc.mean())
+    assert_allclose(score[:, 0], warm, rtol=1e-12)
+    assert_allclose(warm @ score[:, 1:], 0, atol=1e-15)  # all that goes with it is temperature
+    # what each step adds, relative to the mean; a plateau that lasts adds nothing
+    steps = np.diff(torque, axis=1)
+    moving = np.diff(setpoint) != 0
+    relative = (steps / np.where(moving, steps.mean(axis=0), 1.0) - 1)[:, moving]
+    assert_allclose(grown.sum(axis=0)[:, 1:][:, moving], relative, rtol=1e-9, atol=1e-12)
+    assert_allclose(grown[:, :, 1:][:, :, ~moving], 0)
+    assert_allclose(grown[:, :, 0], 0)
+    assert_allclose(np.einsum("m,mp->p", warm, grown[1]), 0, atol=1e-12)
 
 
 RIPPLE = 0.02 * np.tile([1.0, 0.3, -1.0, -0.3], 4)

@@ -10,12 +10,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from scipy import stats
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant import staircase_fit
 from rigtool.experiments.torque_constant.hypotheses import weigh_hypotheses
-from rigtool.experiments.torque_constant.ripple_over_turn import ripple_over_turn
-from rigtool.experiments.torque_constant.staircase import amplifier_linearity, plateaus_of_set_point
+from rigtool.experiments.torque_constant.ripple_over_turn import first_ripple, ripple_over_turn
+from rigtool.experiments.torque_constant.staircase import (
+    Linearity,
+    amplifier_linearity,
+    plateaus_of_set_point,
+)
 from rigtool.experiments.torque_constant.staircase_fit import (
     _solve,
     _trend_scatter,
@@ -25,6 +30,7 @@ from rigtool.experiments.torque_constant.staircase_model import HEATING_TIME, Co
 from rigtool.experiments.torque_constant.temperature_fit import (
     Calibration,
     _fit_temperature,
+    _require_linear,
     calibrate,
 )
 from rigtool.numerics.angle_effects import AngleEffects
@@ -243,11 +249,37 @@ def test_what_the_ripple_is_uncertain_by(thesis):
     carried = 2e-3 / np.sqrt(2) * 0.02 / np.ptp(bare.level)
     more = np.hypot(found.deviation, carried) - found.deviation
     assert_allclose(u, np.linalg.norm([1e-6, deflected, more, carried / np.sqrt(6)]), rtol=0.02)
+    # a gauge that rounds by its zero: the root mean square of what each place adds
+    angle = bare.rotor_angle
+    errors = np.stack([3e-6 * np.cos(angle), 4e-6 * np.cos(angle) + 1e-3])
+    _, u, _ = of(rounding=errors)
+    rounded = math.sqrt((3e-6**2 + 4e-6**2) / 2) * np.std(np.cos(angle))
+    assert_allclose(u, np.linalg.norm([1e-6, deflected, rounded]), rtol=1e-6)
     _, own, _ = of(friction_share=0.1)
     offset = 1e-3 * np.cos(2 * bare.rotor_angle)
     _, u, _ = of(friction_share=0.1, zero=offset, deflection_u=0.0)
     own = math.sqrt(own**2 - deflected**2)
     assert_allclose(u, np.hypot(own, 0.025 * 1e-3 / np.sqrt(2) / np.ptp(bare.level)), rtol=0.02)
+
+
+@pytest.mark.parametrize("rise", [0.0, 1.0])
+def test_ripple_of_small_currents_is_scatter_about_a_line_without_its_own(rise):
+    degc = 20 + rise * np.array([0.0, 10.0, 20.0, 30.0, 5.0])
+    first = 0.05 + 1e-4 * np.array([1.0, -2.0, 0.5, 1.5, -0.4]) - 2e-5 * degc
+    slopes = SimpleNamespace(temperature=degc, first=first, first_u=np.zeros(5))
+    if rise:
+        line = stats.linregress(degc, first)
+        scatter = line.stderr * np.sqrt(np.sum((degc - degc.mean()) ** 2))
+    else:
+        scatter = np.std(first, ddof=1)
+    free = 3 if rise else 4
+    assert_allclose(first_ripple(slopes).value, scatter / np.mean(first), rtol=1e-6)
+    # own scatter is taken off, but for the standard deviation of its square
+    for part in (0.5, 2.0):
+        slopes.first_u = np.full(5, part * scatter)
+        left = max(1 - part**2, 0) + part**2 * np.sqrt(2 / free)
+        expected = scatter * np.sqrt(left) / np.mean(first)
+        assert_allclose(first_ripple(slopes).value, expected, rtol=1e-6)
 
 
 def test_the_smearing_of_an_order_is_that_of_a_line_of_least_squares():
@@ -469,6 +501,57 @@ def test_torque_scales_the_constant_and_nothing_else(factor, seed):
     assert_allclose(other.mean.value, one.mean.value * factor, rtol=1e-6)
     assert_allclose(other.mean.u, one.mean.u * factor, rtol=1e-3)
     assert_allclose(other.coefficient.value, one.coefficient.value, rtol=1e-4)
+    alike = (
+        "heating heating_u heating_dof lasting_heating lasting_heating_u lasting_heating_spread "
+        "lasting_heating_path friction_u friction_dof friction_share deflection deflection_u "
+        "exponent time_constant temperature level dof hysteresis_dof"
+    )
+    scaled = (
+        "slope first first_u zero u transition span rising falling hysteresis hysteresis_u trend_u"
+    )
+    for names, size in ((alike, 1.0), (scaled, factor)):
+        for name in names.split():
+            a, b = (getattr(found.slopes, name) for found in (one, other))
+            limit = 1e-3 * size * np.max(np.abs(a))
+            assert_allclose(b, np.multiply(a, size), rtol=2e-3, atol=limit, err_msg=name)
+
+
+def test_a_staircase_that_was_broken_off_counts_as_far_as_it_went():
+    bench = Bench(force_noise=5e-5)
+    signals = bench.record((20, 50), angles=2)
+    plateaus = plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08)
+    last = np.flatnonzero(plateaus.staircase == 2)[-7:]
+    kept = {name: np.delete(values, last, axis=0) for name, values in vars(plateaus).items()}
+    one, other = (fit_staircases(each) for each in (plateaus, type(plateaus)(**kept)))
+    assert_allclose(other.slope, one.slope, rtol=1e-3)
+    assert_allclose(other.zero, one.zero, atol=3e-5)
+    assert other.dof < one.dof
+    assert_allclose(other.hysteresis, one.hysteresis, rtol=0.02)
+    assert_allclose(other.heating, one.heating, rtol=0.2)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(("off", "refused"), [(0.98, False), (1.02, True)])
+def test_an_amplifier_is_straight_within_a_part_of_the_span_or_four_u(sign, off, refused):
+    level = np.array([-1.0, 0.0, 3.0])
+    for limit, u in ((5e-3 * 4.0, 1e-3), (4 * 0.01, 0.01)):
+        found = Linearity(sign * 1.0, 0, 0, 0, 1, off * limit, u, 1, level, level, np.zeros(3))
+        if refused:
+            with pytest.raises(InsufficientDataError, match=r"deviates by .* from a straight line"):
+                _require_linear(found)
+        else:
+            _require_linear(found)
+
+
+@pytest.mark.parametrize(("gain", "refused"), [(0.11, False), (0.09, True), (9, False), (11, True)])
+def test_an_amplifier_gives_between_a_tenth_and_ten_times_of_what_it_is_asked(gain, refused):
+    level = np.array([-1.0, 0.0, 3.0])
+    found = Linearity(gain, 0, 0, 0, 1, 0.0, 0.0, 1, level, level, np.zeros(3))
+    if refused:
+        with pytest.raises(InsufficientDataError, match="for 1 A of set point"):
+            _require_linear(found)
+    else:
+        _require_linear(found)
 
 
 def test_plateaus_leave_the_settling_out():
@@ -495,6 +578,39 @@ def test_a_gap_in_time_begins_a_staircase():
     bench = Bench()
     plateaus = plateaus_of_set_point(**bench.record((20, 30), 3), arm_length=0.54, settle_time=0.08)
     assert_allclose(np.bincount(plateaus.staircase), np.full(6, 41), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("gap", "turn", "staircases"),
+    [(1.095, 0.0, 1), (1.105, 0.0, 2), (0.01, 0.009, 1), (0.01, 0.011, 2)],
+)
+def test_a_gap_is_longer_than_samples_and_half_the_settling(gap, turn, staircases):
+    """Another angle begins a staircase as well."""
+    time = np.arange(4000) * 0.01  # ten samples and half of 2 s: 1.1 s
+    setpoint = np.repeat(np.arange(10.0), 400)
+    plateaus = plateaus_of_set_point(
+        time=time + np.where(setpoint > 4, gap - 0.01, 0.0),
+        current_setpoint=setpoint,
+        current=setpoint,
+        force=setpoint,
+        temperature=np.full(4000, 25.0),
+        rotor_angle=np.where(setpoint > 4, turn, 0.0),
+        arm_length=0.5,
+        settle_time=2.0,
+    )
+    assert plateaus.staircase.max() + 1 == staircases
+
+
+def test_the_line_of_levels_that_lie_on_it_is_as_uncertain_as_repeats_scatter():
+    setpoint = np.repeat(np.array([0.0, 1.0, 2.0, 4.0]), 6)
+    current = 1.02 * setpoint + 3e-3 + 1e-4 * np.tile([1.0, -1.0, 2.0, -2.0, 0.5, -0.5], 4)
+    found = amplifier_linearity(SimpleNamespace(current_setpoint=setpoint, current=current))
+    line = stats.linregress(setpoint, current)
+    assert found.dof == found.deviation_dof == 20
+    part = math.sqrt(22 / 20)  # scatter about the levels, not about the line
+    assert_allclose([found.gain, found.offset], [line.slope, line.intercept], rtol=1e-9)
+    assert_allclose(found.gain_u, line.stderr * part, rtol=1e-6)
+    assert_allclose(found.offset_u, line.intercept_stderr * part, rtol=1e-6)
 
 
 def test_linearity_finds_the_worst_level():

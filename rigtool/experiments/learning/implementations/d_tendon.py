@@ -126,7 +126,7 @@ def _bench_lines(sliding: SlidingFit, rig: RigDescription) -> list[tuple[Compone
         (ANGLE_RATIO, rig.angle_ratio, "1", rig.angle_ratio * ratio, hung(1, 1), turned),
     ]
     return [
-        (Component(name, value, unit, u, None, 1.0), sliding.moved_by(records, other))
+        (Component(name, value, unit, u), sliding.moved_by(records, other))
         for name, value, unit, u, records, other in cases
         if u
     ]

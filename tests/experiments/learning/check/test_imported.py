@@ -85,6 +85,18 @@ def test_what_the_map_leaves_is_the_difference_of_complex_orders():
         np.testing.assert_allclose(table[name][at], expected, atol=1e-3)
 
 
+def test_what_all_turns_left_out_is_bridged_by_what_is_left_of_the_map():
+    """Where the map is all that turns, the bridges are the map itself."""
+    torque = np.tile(wave(MAP, CELLS, 1 / WAVEFORM_CELLS), (3, 1))
+    torque[:, 40:60] = np.nan
+    group = SimpleNamespace(
+        speed=6.0, sampling=NO_ATTENUATION, turns=3, runs=1, label=lambda: "6 rad/s"
+    )
+    found = imported._compare(group, torque, learned(), 40)
+    np.testing.assert_allclose(found.left.amplitude, 0, atol=1e-9)
+    np.testing.assert_allclose(found.shown.amplitude[[2, 6, 11]], [0.5, 1.0, 0.3], atol=1e-9)
+
+
 def test_uncertainties_are_what_the_results_scatter_by():
     shown = {3: 0.5 * np.exp(0.5j), 7: 0.9 * np.exp(-1.1j), 12: 0.28j}
     drawn = [turned(shown, noise=0.2, seed=n)[0].results("N m", "torque") for n in range(60)]

@@ -1,6 +1,7 @@
 """What became of a learned table: each change is found and reported by its size, and no other."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.learning.check.results import table_verdict
-from rigtool.experiments.learning.check.table_health import judge_table, parts
+from rigtool.experiments.learning.check.table_health import _leftovers, _nearest, judge_table, parts
 from rigtool.experiments.learning.rows import Row
 from tests.thorough import first_of
 
@@ -227,6 +228,76 @@ def test_a_speed_that_was_not_learned_is_refused():
     rows = [Row(2 * row.speed, row.moves) for row in now(table)]
     with pytest.raises(InsufficientDataError, match="does not cover -12 rad/s"):
         checked(table, u, rows)
+
+
+@pytest.mark.parametrize(
+    ("good", "periodic", "shift"),
+    [
+        ([8, 3], True, -2),
+        ([2, 7], True, 2),
+        ([5], True, 5),
+        ([6], True, -4),
+        ([3], False, -2),
+        ([1, 8], False, 3),
+    ],
+)
+def test_of_equally_good_shifts_the_smallest_counts(good, periodic, shift):
+    """Ten shifts of a turn, or eleven to either side of a range."""
+    left = np.ones(10 if periodic else 11)
+    left[good] = 0.005
+    left[good[-1]] = 0.0  # the best by less than counts
+    assert _nearest(left, periodic) == shift
+
+
+@pytest.mark.parametrize("margin", [0, 3])
+def test_what_a_shift_leaves_is_that_of_a_line_through_zero(margin):
+    random = np.random.default_rng(3)
+    learned = random.standard_normal((2, 16))
+    there = random.standard_normal((2, 16 - 2 * margin))
+    there -= there.mean(axis=1, keepdims=True)
+    found = _leftovers(learned, there, margin)
+    if margin:
+        moved = [learned[:, s : s + 10] for s in range(6, -1, -1)]  # later, by -3 to 3
+    else:
+        moved = [np.roll(learned, s, axis=1) for s in range(16)]
+    for left, known in zip(found, moved, strict=True):
+        known = known - known.mean(axis=1, keepdims=True)
+        scale = max(np.sum(known * there) / np.sum(known**2), 0.0)
+        expected = np.sum((there - scale * known) ** 2) / np.sum(there**2)
+        assert left == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("part", [None, QUARTER])
+def test_the_unit_of_torque_changes_no_verdict(part):
+    table, u = learned() if part is None else learned(part=part)
+    rows = now(table, shift=0.3, friction=0.3e-3)
+    one = checked(table, u, rows)
+    unit = 128.0
+    larger = [Row(row.speed, unit * row.moves) for row in rows]
+    other = checked(replace(table, torque=unit * table.torque), unit * u, larger)
+    for name, value in vars(one).items():
+        size = unit if name in UNIT_OF_TORQUE else 1.0
+        found = getattr(other, name)
+        if hasattr(value, "u"):
+            assert (found.value, found.u) == pytest.approx(
+                (size * value.value, size * value.u), rel=1e-5, abs=1e-7 * size
+            )
+        else:
+            assert found == pytest.approx(size * value, rel=1e-6, abs=1e-9 * size)
+
+
+UNIT_OF_TORQUE = [
+    "friction",
+    "offset",
+    "mismatch",
+    "shape",
+    "scaled",
+    "shifted",
+    "even",
+    "odd",
+    "pattern",
+    "limit",
+]
 
 
 def test_a_shift_with_other_friction_is_not_mended_by_the_shift():

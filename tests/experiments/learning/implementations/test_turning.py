@@ -321,6 +321,9 @@ def test_the_error_of_a_repeated_move_is_learned_away(standard):
     _, outcome = standard
     assert outcome.results["error_reduction"].value > 0.7
     assert outcome.results["error_rms"].value < 0.5e-3  # a third of a count
+    assert [outcome.results[f"error_{n}"].dof for n in ("peak", "rms")] == [4, 4]  # of five moves
+    reduction = outcome.results["error_reduction"]
+    assert 4 <= reduction.dof <= 8  # Welch and Satterthwaite, of two runs
     table = outcome.tables["iterations"]
     assert table["rms"][1] < 0.3 * table["rms"][0]
     learned = outcome.tables["trajectory"]
