@@ -44,7 +44,9 @@ def wandering(seed, size=120):
 def spans(size, steps, causal):
     """Yield the indices from `steps` before each step, or before and after, within the array."""
     for k in range(size):
-        yield range(max(0, k - (2 * steps if causal else steps)), min(size, k + 1 + steps * (not causal)))
+        yield range(
+            max(0, k - (2 * steps if causal else steps)), min(size, k + 1 + steps * (not causal))
+        )
 
 
 @pytest.mark.parametrize("causal", [False, True])

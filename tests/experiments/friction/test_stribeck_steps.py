@@ -48,7 +48,9 @@ def test_holds_of_one_speed_are_one_point(seed):
     """Within 0.5 % of the next; their scatter counts where it exceeds their uncertainties."""
     rng = np.random.default_rng(seed)
     speeds, repeats = np.array([0.5, 1.0, 1.0060, 2.0, 3.0]), [1, 3, 2, 4, 1]
-    v = np.concatenate([s * (1 + 1e-3 * rng.uniform(0, 1, n)) for s, n in zip(speeds, repeats, strict=True)])
+    v = np.concatenate(
+        [s * (1 + 1e-3 * rng.uniform(0, 1, n)) for s, n in zip(speeds, repeats, strict=True)]
+    )
     u = rng.uniform(1, 2, len(v))
     f = rng.standard_normal(len(v)) * np.where(v > 1.5, 5.0, 0.1)
     expected, first = [], 0
@@ -180,8 +182,9 @@ def test_the_fit_states_the_line_and_the_uncertainty_of_both():
     weight = 1 / np.sqrt((stated**2 + np.median(stated) ** 2) / 2)
     fit = fit_direction(v, f, stated)
     assert fit.exponent is None
-    line, (mean, spread) = _straight_part(v, f, weight), _averaged(
-        _line(v, f, weight), {2.0: None, 1.0: None}, v, f, weight
+    line, (mean, spread) = (
+        _straight_part(v, f, weight),
+        _averaged(_line(v, f, weight), {2.0: None, 1.0: None}, v, f, weight),
     )
     assert_allclose(fit.averaged, mean, rtol=1e-6)
     assert_allclose(fit.covariance, line.covariance + spread, rtol=1e-6)
