@@ -1,5 +1,7 @@
 """The exploring motion has the triangles, the rests and the draws that its text states."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -31,7 +33,7 @@ def moves(motion):
                 speed[a : b + 1][np.argmax(np.abs(speed[a : b + 1]))],
                 time[b] - time[a],
             )
-            for a, b in zip(rests[:-1], rests[1:], strict=True)
+            for a, b in pairwise(rests)
         ]
     )
 

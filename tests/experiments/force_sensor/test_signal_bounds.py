@@ -1,4 +1,4 @@
-"""Signals are a fault beyond the bounds that friction, loads and the learned motion give, not below.
+"""Signals are a fault beyond the bounds of friction, loads and the learned motion, and not below.
 
 The bounds are computed here from the plant of the tests; each is tried a little below and above.
 """
