@@ -52,22 +52,18 @@ def test_the_slowest_two_speeds_are_compared_without_load_and_under_the_largest(
 
 
 @pytest.mark.parametrize(("speeds", "fastest"), [([0.9, 1.5], 1.5), ([0.9, 3.0], 2.0)])
-def test_the_exploration_covers_the_stroke_up_to_two_turns_a_second(speeds, fastest):
+def test_the_exploration_covers_the_stroke_up_to_two_turns_a_second(speeds, fastest, monkeypatch):
     """Of the output, or to the fastest speed that is learned; the motor turns by the ratio."""
     sets = ("rig.attachment=instrument", f"ilc_learn.speeds_rev_per_s={speeds}")
     recipe = load_recipe(RECIPE, sets)[0]
-    rig = recipe.rig
-    one, other = exploring(recipe), exploring(recipe, 3)
-    times = np.arange(0, min(one.duration, other.duration), 5e-3)
-    for motion in (one, other):
-        place, speed, _ = motion.setpoint(times)
-        high = math.radians(recipe.measure_force.angle) * rig.angle_ratio
-        assert place.min() > -1e-9
-        assert 0.9 * high < place.max() < high + 1e-9
-        most = 2 * math.pi * fastest * rig.angle_ratio
-        assert 0.5 * most < np.abs(speed).max() <= most * (1 + 1e-9)
-        assert FREE_TIME < motion.duration < 4 * FREE_TIME
-    assert one.speeds != other.speeds
+    rig, given = recipe.rig, []
+    monkeypatch.setattr(module, "exploration", lambda *own: given.append(own))
+    exploring(recipe)
+    exploring(recipe, 3)
+    high = math.radians(recipe.measure_force.angle) * rig.angle_ratio
+    most = 2 * math.pi * fastest * rig.angle_ratio
+    expected = (0.0, high, 2 * math.pi / rig.encoder_counts, most, FREE_TIME)
+    assert given == [(*map(pytest.approx, expected), number) for number in (0, 3)]
 
 
 def test_a_load_has_its_moment_and_inertia_on_the_arm(monkeypatch):
