@@ -77,7 +77,7 @@ def test_an_angle_at_the_end_of_a_stroke_is_not_passed():
     for angle, expected in ((1e-9, 1.0), (0.25, 1.5), (1 - 1e-9, 3.0)):
         assert force.readings(position, torque, found, angle) == pytest.approx([expected])
     for angle in (0.0, 1.0):
-        with pytest.raises(InsufficientDataError, match="cycle 0 moves from 0 to 57.3 deg"):
+        with pytest.raises(InsufficientDataError, match=r"cycle 0 moves from 0 to 57\.3 deg"):
             force.readings(position, torque, found, angle)
 
 

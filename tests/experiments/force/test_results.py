@@ -119,8 +119,11 @@ def test_the_uncertainty_of_a_row_is_that_of_its_equation(sets, zero):
             there = rig.angle_ratio + by
             return m * (rig.angle_ratio / there - 1), applied(ratio=there) - applied()
 
-        inputs["weights"] = (1e-3 * force, lambda by: (0, applied(force=force + by) - applied()))
-        inputs["length"] = (1e-4, lambda by: (0, applied(arm=arm + by) - applied()))
+        inputs["weights"] = (
+            1e-3 * force,
+            lambda by, f=force: (0, applied(force=f + by) - applied()),
+        )
+        inputs["length"] = (1e-4, lambda by, a=arm: (0, applied(arm=a + by) - applied()))
         if rig.attachment == "instrument":
             inputs["ratio"] = (2e-3 * rig.angle_ratio, by_ratio)
         changes = {}

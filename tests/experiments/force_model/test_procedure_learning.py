@@ -90,3 +90,38 @@ def test_the_filter_gets_the_interval_of_the_recording_and_that_of_the_loop():
     assert (found.sample_time, found.loop_time) == (pytest.approx(2e-3), 0.5e-3)
     assert (found.torque_constant, found.count) == (0.05, 1e-3)
     assert found.encoder is own.encoder
+
+
+class Warm(Recorded):
+    """A recording of a motor whose temperature rises by 2 K."""
+
+    @property
+    def name(self):
+        return f"load_{self.force:g}"
+
+    def read(self, channel):
+        assert channel == "temperature"
+        return 20 + 5 * self.force + np.array([0.0, 1.0, 2.0])
+
+
+def test_moves_have_the_mean_temperature_of_strokes_and_the_exploration_its_own(monkeypatch):
+    class Done(Exception):
+        pass
+
+    def ended(*given):
+        raise Done
+
+    given, recipe = [], load_recipe(RECIPE)[0]
+    monkeypatch.setattr(module, "stroke_record", lambda *own: None)
+    monkeypatch.setattr(module, "scatter_ratios", lambda records: [0.0] * len(records))
+    monkeypatch.setattr(
+        module, "_repeated", lambda r, recipe, kt, degc, force: given.append((degc, force))
+    )
+    monkeypatch.setattr(
+        module, "_condition", lambda recipe, kt, degc, force: given.append((degc, force))
+    )
+    monkeypatch.setattr(module, "_signals", ended)
+    strokes = [Warm(1.0, 0.0), Warm(1.0, 4.0)]
+    with pytest.raises(Done):
+        module.learn_force(strokes, [Warm(9.0, 0.0)], Warm(1.0, 2.0), [], recipe, None)
+    assert given == [(31.0, 0.0), (31.0, 0.0)]

@@ -69,7 +69,7 @@ def test_a_change_of_a_thousandth_of_the_highest_speed_a_second_is_steady():
 
 
 def test_a_gap_in_time_ends_a_stretch():
-    time, wanted = staircase((4.0, 100))
+    time, _ = staircase((4.0, 100))
     for gap, parts in ((0.4e-2, 1), (0.6e-2, 2)):  # half of a sample more
         late = time + np.where(np.arange(101) >= 50, gap, 0.0)
         found = [b - a for a, b in _steady_stretches(late, 4.0 * late) if b - a > 20]
