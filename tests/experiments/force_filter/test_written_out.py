@@ -18,7 +18,21 @@ from rigtool.experiments.force_filter.motion_states import (
     Reach,
     State,
 )
-from rigtool.experiments.force_filter.plant import STATES
+from rigtool.experiments.force_filter.plant import (
+    ANGLE,
+    BRISTLE,
+    COSINE,
+    GRASPER,
+    GRASPER_SPEED,
+    HOUSING,
+    LOAD,
+    NOISE,
+    SINE,
+    SPEED,
+    STATES,
+    TIP,
+    TORQUE,
+)
 from tests.experiments.force_filter.plants import PLANT, UNCERTAINTY
 
 COUNT, STEP = 1e-3, 10e-3
@@ -285,3 +299,46 @@ def test_a_filter_knows_no_deviation_before_its_first_step():
     assert own.last_deviation == 0
     own._state = {"covariance": np.full((1, STATES, STATES), 9.0)}
     assert own.last_deviation == 3.0
+
+
+def test_a_filter_begins_at_rest_between_two_edges_with_a_load_that_stretches_the_tendon():
+    """Covariances by drawing: the output is where the tendon's torque leaves it."""
+    low, width, low_pass = 1.7, 2e-3, passed.section(10.0, 1e-3)
+    state = kalman.begin(PLANT, UNCERTAINTY, low, width, low_pass)[0]
+    mean, covariance = state["mean"], state["covariance"]
+    assert mean[ANGLE] == pytest.approx(low + width / 2)
+    assert mean[GRASPER] == pytest.approx((low + width / 2) / PLANT.angle_ratio)
+    assert np.count_nonzero(mean) == 2
+    assert (state["direction"], state["low"]) == (1.0, low)
+    u = UNCERTAINTY
+    spread = {
+        ANGLE: width / 2,
+        SPEED: u.speed_start,
+        GRASPER_SPEED: u.speed_start,
+        BRISTLE: u.bristle_start,
+        HOUSING: u.bristle_start,
+        TIP: u.bristle_start,
+        GRASPER: u.torque_start / PLANT.stiffness,
+        SINE: u.stroke,
+        COSINE: u.stroke,
+        LOAD: u.load_stroke,
+        NOISE: u.friction_noise,
+        TORQUE: u.torque_start,
+    }
+    assert len(spread) == STATES
+    for number, deviation in spread.items():
+        assert math.sqrt(covariance[number, number]) == pytest.approx(deviation)
+    own = covariance[:STATES, :STATES]
+    apart = own - np.diag(np.diag(own))
+    stretch = -0.999 * spread[TORQUE] ** 2 / PLANT.stiffness
+    assert apart[GRASPER, TORQUE] == apart[TORQUE, GRASPER] == pytest.approx(stretch)
+    assert np.count_nonzero(apart) == 2
+    # a torque that has been there all the time is behind the low-pass as it is
+    behind = passed.settled(low_pass)
+    joint = np.outer(behind, own[TORQUE])
+    found = covariance[STATES : passed.JOINT_STATES, :STATES]
+    np.testing.assert_allclose(found, joint)
+    np.testing.assert_allclose(
+        covariance[STATES : passed.JOINT_STATES, STATES : passed.JOINT_STATES],
+        np.outer(behind, behind) * own[TORQUE, TORQUE],
+    )
