@@ -1,5 +1,7 @@
 """Edges of an encoder in means of its counts, sample by sample."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
@@ -56,7 +58,7 @@ def test_angles_between_edges_are_a_monotone_cubic_through_them_and_through_turn
     known = [one for one in written_out(encoder) if 0 < one[0] < len(encoder)]
     known = [(0.0, encoder[0] + 0.5), *known, (float(len(encoder)), encoder[-1] + 0.5)]
     whole = []
-    for one, other in zip(known[:-1], known[1:], strict=True):
+    for one, other in pairwise(known):
         whole.append(one)
         if one[1] == other[1] and other[0] - one[0] >= 2:
             middle = (one[0] + other[0]) / 2
