@@ -244,7 +244,7 @@ def encoder_shaking(recipe: Recipe, speed: Array) -> Array:
     noise = step * _speed_of_noise(**rig.loop_design) / way
     edges = np.outer(way / step, np.arange(1, EDGE_HARMONICS + 1))
     seen = edges < 0.5 / rig.sample_time
-    followed = np.where(seen, np.abs(answer(np.where(seen, edges, 0.0))), 0.0)
+    followed = np.where(seen, np.abs(answer(edges)), 0.0)
     return np.maximum(noise, np.sqrt(2 * np.sum(followed**2, axis=1)))
 
 

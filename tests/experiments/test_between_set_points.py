@@ -74,6 +74,8 @@ def test_the_error_of_friction_is_a_line_over_speed():
     speeds = (2.0, 5.0, 9.0, 20.0)
     lacking = UnsampledCurrent.of([line(*((v, (2 + 0.3 * v) * 1e-3, 1e-9) for v in speeds))])
     assert lacking.line(0.05) == pytest.approx((0.1e-3, 0.015e-3), rel=1e-6)
+    twice = UnsampledCurrent.of([line((2.0, 2e-3, 1e-9), (12.0, 5e-3, 1e-9))])
+    assert twice.line(0.05) == pytest.approx((0.05 * 1.4e-3, 0.05 * 0.3e-3), rel=1e-6)
     once = UnsampledCurrent.of([line((5.0, -3e-3, 4e-3)), line((5.0, -6e-3, 8e-3))])
     assert once.line(0.05) == pytest.approx((0.05 * -7.5e-3, 0.0), rel=1e-9)
     assert UnsampledCurrent.of([line((5.0, 0.0, 0.0))]).line(0.05) == (0.0, 0.0)

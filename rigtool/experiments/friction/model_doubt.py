@@ -125,7 +125,7 @@ def long_ripple(
     is left shows how strong it is. `position` (n,), `weight` (n,) of the rows of `design` (n, p)
     and of `residual` (n,), which amount to `independent` samples.
     """
-    turns = 2 * np.pi * (position - position[weight > 0].mean()) / np.ptp(position[weight > 0])
+    turns = 2 * np.pi * position / np.ptp(position[weight > 0])
     terms = [
         np.column_stack([np.cos(n * turns), np.sin(n * turns)]) * weight[:, None]
         for n in RIPPLES_A_STROKE

@@ -60,6 +60,20 @@ def test_what_may_be_learned_scales_with_the_rig(friction, ripple, speed):
         assert (two.kind, two.order, two.quarter) == (one.kind, one.order, one.quarter)
 
 
+def test_waves_have_cosine_and_sine_of_each_order_and_fade_with_it():
+    """Cogging by its order, ripple and friction by its root, the others not at all."""
+    terms = terms_for(Sizes(5e-3, 1e-3, 0.05, 1.0, 20.0), KNOWN)
+    fades = {Kind.COGGING: 1.0, Kind.RIPPLE: 0.5, Kind.HOUSING: 0.5}
+    for kind in Kind:
+        waves = {(t.order, t.quarter): t.spread for t in terms if t.kind is kind and t.order}
+        orders = sorted({order for order, _ in waves})
+        assert orders == list(range(1, len(orders) + 1))
+        assert set(waves) == {(order, quarter) for order in orders for quarter in (0, 1)}
+        for (order, _), spread in waves.items():
+            assert spread == pytest.approx(waves[1, 0] * order ** -fades.get(kind, 0.0))
+    assert len({(t.kind, t.order, t.quarter) for t in terms}) == len(terms)
+
+
 def test_maps_go_once_around_the_turn():
     terms = (Term(Kind.COGGING, 1.0, 3, 1), Term(Kind.VISCOUS, 1.0, 1, 0))
     maps = tabulated(terms, np.array([2.0, 0.5]))

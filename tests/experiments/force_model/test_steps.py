@@ -12,6 +12,7 @@ from rigtool.experiments.force_model.steps import (
     STEP_TIME,
     FilterSteps,
     Sampler,
+    Stepper,
     unbroken,
 )
 
@@ -131,3 +132,34 @@ def test_counts_between_samples_are_known_to_a_third_of_a_count(interval, rate):
     off = (grid.counts(encoder) + 0.5 - (0.37 + rate * middle))[100:-100]
     assert abs(off.mean()) < 0.15
     assert off.std() < 0.4
+
+
+class ByAngle(Plain):
+    """A drive whose torque is the angle at which it is asked."""
+
+    def torque(self, angle, current, constant, sample_time, ripple):
+        return angle.copy(), np.zeros(len(angle))
+
+
+def test_a_drive_is_asked_at_the_middle_of_the_count_and_idles_below_a_milliampere():
+    encoder = np.floor(0.3 * np.arange(400))
+    current = np.where(np.arange(400) < 200, 0.9e-3, -1.1e-3)
+    samples = np.stack([encoder, current, np.full(400, 0.05)])
+    sampler = Sampler(FilterSteps.of(0.5e-3, 0.5e-3), 0.1, ByAngle(), context=0)
+    found, _ = sampler.add(samples, last=True)
+    np.testing.assert_allclose(found.drive_torque, found.low + 0.05)
+    np.testing.assert_allclose(np.unique(found.low / 0.1 % 1).round(9) % 1, 0)
+    assert found.width == 0.1
+    assert found.idle[:195].all()
+    assert not found.idle[205:].any()
+
+
+@pytest.mark.parametrize("size", [1, 2, 5])
+def test_signals_at_the_end_of_a_step_are_means_of_both_sides(size):
+    samples = np.random.default_rng(6).standard_normal((2, 43))
+    stepper, found = Stepper(size), []
+    for first, last in pairwise([0, 1, 3, 4, 20, 43]):
+        found.append(stepper.add(samples[:, first:last]))
+    ends = range(size, 43, size)
+    expected = [(samples[:, k - 1] + samples[:, k]) / 2 for k in ends]
+    np.testing.assert_allclose(np.hstack(found), np.transpose(expected))

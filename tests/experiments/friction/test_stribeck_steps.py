@@ -1,0 +1,254 @@
+"""Steps of the fit of friction against speed, each against its formula written out."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from rigtool.experiments.friction.stribeck_fit import (
+    BUMP_SIGNIFICANCE,
+    FAR_BEYOND,
+    OTHER_VELOCITIES,
+    _averaged,
+    _corrected,
+    _criterion,
+    _line,
+    _straight_part,
+    _stribeck,
+    fit_direction,
+    mean_by_speed,
+)
+
+SPEEDS = np.array([0.2, 0.4, 0.7, 1.0, 2.0, 4.0, 8.0, 15.0, 30.0])
+
+
+def line_of(v, f, u):
+    """Return parameters, covariance without scatter, and residuals by the normal equations."""
+    design = np.column_stack([np.ones(len(v)), v])
+    normal = design.T @ (design / u[:, None] ** 2)
+    found = np.linalg.solve(normal, design.T @ (f / u**2))
+    return found, np.linalg.inv(normal), f - design @ found
+
+
+@given(st.lists(st.floats(-3, 3), min_size=2, max_size=12), st.integers(1, 5))
+def test_the_criterion_is_akaikes_corrected(residual, k):
+    """N. Sugiura 1978, C. M. Hurvich and C.-L. Tsai 1989, with an unknown variance."""
+    n, square = len(residual), sum(one**2 for one in residual)
+    if square < 1e-6:
+        return
+    expected = n * math.log(square / n) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 1)
+    assert _corrected(np.array(residual), k) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_holds_of_one_speed_are_one_point(seed):
+    """Within 0.5 % of the next; their scatter counts where it exceeds their uncertainties."""
+    rng = np.random.default_rng(seed)
+    speeds, repeats = np.array([0.5, 1.0, 1.0060, 2.0, 3.0]), [1, 3, 2, 4, 1]
+    v = np.concatenate(
+        [s * (1 + 1e-3 * rng.uniform(0, 1, n)) for s, n in zip(speeds, repeats, strict=True)]
+    )
+    u = rng.uniform(1, 2, len(v))
+    f = rng.standard_normal(len(v)) * np.where(v > 1.5, 5.0, 0.1)
+    expected, first = [], 0
+    for n in repeats:
+        part = slice(first, first + n)
+        first += n
+        w = 1 / u[part] ** 2
+        mean = np.average(f[part], weights=w)
+        birge = 1.0 if n == 1 else max(1.0, np.sum(w * (f[part] - mean) ** 2) / (n - 1))
+        expected.append((np.average(v[part], weights=w), mean, math.sqrt(birge / w.sum())))
+    mixed = rng.permutation(len(v))
+    assert_allclose(mean_by_speed(v[mixed], f[mixed], u[mixed]), np.transpose(expected), rtol=1e-9)
+
+
+@pytest.mark.parametrize("scatter", [0.3, 3.0])
+def test_a_line_is_that_of_the_normal_equations(scatter):
+    rng = np.random.default_rng(2)
+    u = rng.uniform(1e-5, 3e-5, len(SPEEDS))
+    f = 2e-3 + 5e-5 * SPEEDS + scatter * u * rng.standard_normal(len(SPEEDS))
+    found, (parameters, covariance, residual) = _line(SPEEDS, f, 1 / u), line_of(SPEEDS, f, u)
+    dof = len(SPEEDS) - 2
+    birge = max(1.0, np.sum((residual / u) ** 2) / dof)
+    assert (birge > 1) == (scatter > 1)
+    assert_allclose(found.parameters, parameters, rtol=1e-9)
+    assert_allclose(found.covariance, covariance * birge, rtol=1e-9)
+    assert (found.dof, found.lowest, found.highest) == (dof, 0.2, 30.0)
+    excess = np.sum(residual**2) / dof - np.mean((FAR_BEYOND * u) ** 2)
+    assert found.structure == pytest.approx(math.sqrt(max(excess, 0.0)), rel=1e-9)
+    assert found.worst_speed == SPEEDS[np.argmax(np.abs(residual))]
+    assert found.friction == pytest.approx(f.mean())
+    assert found.coulomb == pytest.approx((parameters[0], math.sqrt(covariance[0, 0] * birge)))
+    assert found.viscous == pytest.approx((parameters[1], math.sqrt(covariance[1, 1] * birge)))
+    assert found.static is None
+    assert found.stribeck_velocity is None
+
+
+def test_structure_is_what_residuals_have_beyond_three_times_the_scatter():
+    u = np.full(len(SPEEDS), 1e-6)
+    f = 2e-3 + 5e-5 * SPEEDS + 1e-4 * np.cos(3 * SPEEDS)
+    found, residual = _line(SPEEDS, f, 1 / u), line_of(SPEEDS, f, u)[2]
+    expected = math.sqrt(np.sum(residual**2) / (len(SPEEDS) - 2) - 9e-12)
+    assert found.structure == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize(("times", "left_out"), [(2.7, 0), (3.3, 1)])
+def test_the_lowest_speed_is_left_out_three_uncertainties_off_the_line(times, left_out):
+    u = np.full(len(SPEEDS), 2e-5)
+    f = 2e-3 + 5e-5 * SPEEDS
+    covariance = line_of(SPEEDS[1:], f[1:], u[1:])[1]
+    design = np.array([1.0, SPEEDS[0]])
+    off = math.sqrt(u[0] ** 2 + design @ covariance @ design)
+    f[0] += times * off
+    found = _straight_part(SPEEDS, f, 1 / u)
+    assert found.lowest == SPEEDS[left_out]
+    assert found.dof == len(SPEEDS) - 2 - left_out
+
+
+def test_four_speeds_over_a_factor_of_two_are_left_at_least():
+    u = np.full(6, 1e-6)
+    off = np.array([1.0, 0.03, 2.1e-3, 2e-3, 2e-3, 2e-3])
+    assert _straight_part(np.array([1.0, 2, 3, 4, 6, 8]), off, 1 / u).dof == 4 - 2
+    # what is left spans a factor of two from the second speed
+    assert _straight_part(np.array([1.0, 4.2, 5, 6, 7, 8]), off, 1 / u).lowest == 1.0
+    assert _straight_part(np.array([1.0, 3.9, 4.2, 6, 7, 8]), off, 1 / u).lowest == 3.9
+
+
+def stribeck(v, static, velocity, exponent):
+    return 2.3e-3 + 5e-5 * v + (static - 2.3e-3) * np.exp(-((v / velocity) ** exponent))
+
+
+def test_the_stated_line_is_the_mean_over_models_by_their_akaike_weights():
+    """Half of the weight is the line's before the data speak, the rest is shared by the shapes, and
+    within a shape that is not determined by its velocities."""
+    rng = np.random.default_rng(4)
+    v = np.geomspace(0.4, 30, 9)
+    u = np.full(9, 4e-5)
+    f = stribeck(v, 3.0e-3, 0.5, 2.0) + u * rng.standard_normal(9)
+    chosen, curves = _line(v, f, 1 / u), {2.0: None, 1.0: None}
+    found, spread = _averaged(chosen, curves, v, f, 1 / u)
+
+    line = _straight_part(v, f, 1 / u)
+    out = v < line.lowest
+    residual = np.where(out, 0.0, (f - line.evaluate(v)) / u)
+    models = [(line.parameters, _corrected(residual, 3 + out.sum()), 0.5)]
+    for d in (2.0, 1.0):
+        for vs in np.geomspace(v.min() / 3, v.max() / 3, OTHER_VELOCITIES):
+            bump = np.exp(-((v / vs) ** d))
+            design = np.column_stack([1 - bump, v, bump]) / u[:, None]
+            p = np.linalg.lstsq(design, f / u, rcond=None)[0]
+            if p[2] >= p[0]:
+                models.append((p[:2], _corrected(f / u - design @ p, 4), 0.25 / OTHER_VELOCITIES))
+    best = min(model[1] for model in models)
+    weights = np.array([share * math.exp((best - one) / 2) for _, one, share in models])
+    weights /= weights.sum()
+    lines = np.array([p for p, _, _ in models])
+    expected = weights @ lines
+    assert_allclose(found, expected, rtol=1e-9)
+    apart = lines - expected
+    assert_allclose(spread, (apart * weights[:, None]).T @ apart, rtol=1e-9)
+    assert 0.05 < weights[0] < 0.95
+
+
+def test_a_chosen_curve_states_its_own_line_and_the_others_as_uncertainty():
+    rng = np.random.default_rng(5)
+    v = np.geomspace(0.1, 30, 20)
+    u = np.full(20, 5e-5)
+    f = stribeck(v, 4e-3, 0.8, 2.0) + u * rng.standard_normal(20)
+    curves = {d: _stribeck(v, f, 1 / u, d) for d in (2.0, 1.0)}
+    assert all(curves.values())
+    found, spread = _averaged(curves[2.0], curves, v, f, 1 / u)
+    assert_allclose(found, curves[2.0].parameters[:2], rtol=1e-12)
+    line = _straight_part(v, f, 1 / u)
+    out = int(np.sum(v < line.lowest))
+    left = ((f - line.evaluate(v)) / u)[out:]
+    padded = np.concatenate([np.zeros(out), left])
+    criteria = [_corrected(padded, 3 + out), *(_criterion(c, v, f, 1 / u) for c in curves.values())]
+    weights = np.array([0.5, 0.25, 0.25]) * np.exp((min(criteria) - np.array(criteria)) / 2)
+    weights /= weights.sum()
+    lines = np.array([line.parameters[:2], *(c.parameters[:2] for c in curves.values())])
+    apart = lines - found
+    assert_allclose(spread, (apart * weights[:, None]).T @ apart, rtol=1e-9, atol=1e-30)
+
+
+def test_the_fit_states_the_line_and_the_uncertainty_of_both():
+    rng = np.random.default_rng(6)
+    v = np.geomspace(0.4, 30, 9)
+    stated = rng.uniform(2e-5, 6e-5, 9)
+    f = stribeck(v, 2.9e-3, 0.5, 2.0) + 3e-5 * rng.standard_normal(9)
+    weight = 1 / np.sqrt((stated**2 + np.median(stated) ** 2) / 2)
+    fit = fit_direction(v, f, stated)
+    assert fit.exponent is None
+    line, (mean, spread) = (
+        _straight_part(v, f, weight),
+        _averaged(_line(v, f, weight), {2.0: None, 1.0: None}, v, f, weight),
+    )
+    assert_allclose(fit.averaged, mean, rtol=1e-6)
+    assert_allclose(fit.covariance, line.covariance + spread, rtol=1e-6)
+    assert fit.criterion == pytest.approx(_criterion(_line(v, f, weight), v, f, weight), rel=1e-9)
+
+
+@pytest.mark.parametrize(("exponent", "needs"), [(2.0, 0.0), (1.0, 6.0)])
+def test_the_criterion_of_a_curve_holds_the_lead_that_its_shape_needs(exponent, needs):
+    v = np.geomspace(0.1, 30, 30)
+    u = np.full(30, 1e-5)
+    f = stribeck(v, 4e-3, 0.8, exponent) + u * np.random.default_rng(3).standard_normal(30)
+    fit = fit_direction(v, f, u)
+    assert fit.exponent == exponent
+    assert fit.criterion == pytest.approx(_criterion(fit, v, f, 1 / u) + needs, rel=1e-6)
+    assert_allclose(fit.level(v), fit.evaluate(v) - fit.parameters[1] * v, rtol=1e-12)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 2.0])
+def test_uncertainties_of_a_curve_are_those_of_its_numeric_derivative(exponent):
+    v = np.geomspace(0.1, 30, 30)
+    u = np.full(30, 1e-5)
+    f = stribeck(v, 4e-3, 0.8, exponent) + 3 * u * np.random.default_rng(4).standard_normal(30)
+    fit = _stribeck(v, f, 1 / u, exponent)
+
+    def model(p):
+        return p[0] + p[1] * v + (p[2] - p[0]) * np.exp(-((v / p[3]) ** exponent))
+
+    steps = 1e-6 * np.abs(fit.parameters)
+    slopes = [
+        (model(fit.parameters + step) - model(fit.parameters - step)) / (2 * step.max())
+        for step in np.diag(steps)
+    ]
+    design = np.transpose(slopes) / u[:, None]
+    birge = max(1.0, np.sum(((f - model(fit.parameters)) / u) ** 2) / 26)
+    assert_allclose(fit.covariance, birge * np.linalg.inv(design.T @ design), rtol=1e-4)
+    assert fit.dof == 26
+    assert fit.static == pytest.approx((fit.parameters[2], math.sqrt(fit.covariance[2, 2])))
+    assert fit.stribeck_velocity == pytest.approx(
+        (fit.parameters[3], math.sqrt(fit.covariance[3, 3]))
+    )
+
+
+@pytest.mark.parametrize(("significant", "found"), [(2, False), (3, True)])
+def test_three_speeds_must_show_the_effect(significant, found):
+    """By twice their uncertainty; others at low speed are too uncertain to show it."""
+    v = np.concatenate([np.geomspace(0.2, 0.8, 6), np.geomspace(3, 30, 12)])
+    f = stribeck(v, 4e-3, 1.0, 2.0)
+    bump = (f - 2.3e-3 - 5e-5 * v)[:6]
+    u = np.full(len(v), 1e-5)
+    u[:6] = bump / BUMP_SIGNIFICANCE * 1.2
+    u[:significant] = 1e-5
+    assert (_stribeck(v, f, 1 / u, 2.0) is not None) == found
+
+
+@pytest.mark.parametrize(("count", "found"), [(5, False), (6, True)])
+def test_a_curve_needs_six_speeds(count, found):
+    v = np.concatenate([[0.2, 0.4, 0.6, 0.9], np.linspace(4, 30, count - 4)])
+    u = np.full(count, 1e-7)
+    assert (_stribeck(v, stribeck(v, 4e-3, 0.7, 2.0), 1 / u, 2.0) is not None) == found
+
+
+@pytest.mark.parametrize(("velocity", "found"), [(0.125, False), (0.5, True), (11.0, False)])
+def test_a_velocity_at_an_edge_of_those_that_speeds_can_show_is_none(velocity, found):
+    """From a third of the lowest to a third of the highest speed."""
+    v = np.geomspace(0.4, 30, 40)
+    u = np.full(40, 1e-9)
+    assert (_stribeck(v, stribeck(v, 1.0, velocity, 2.0), 1 / u, 2.0) is not None) == found
