@@ -12,8 +12,6 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.torque_constant import staircase_fit
-from rigtool.experiments.torque_constant.hypotheses import weigh_hypotheses
 from rigtool.experiments.torque_constant.ripple_over_turn import ripple_over_turn
 from rigtool.experiments.torque_constant.staircase import amplifier_linearity, plateaus_of_set_point
 from rigtool.experiments.torque_constant.staircase_fit import (
@@ -351,7 +349,12 @@ def test_a_drift_within_the_staircases_is_taken_out_of_the_torque():
 
 
 @pytest.mark.parametrize(
-    "bench", [Bench(), Bench(time_constant=60.0), Bench(heating=0.05, time_constant=4.0)]
+    "bench",
+    [
+        Bench(),
+        Bench(time_constant=60.0),
+        Bench(friction=0.2e-3, force_noise=1e-4, heating=0.05, time_constant=4.0),
+    ],
 )
 def test_the_loss_by_a_lasting_current_is_as_uncertain_as_the_time_constant(bench):
     """A staircase of 8 s shows a winding of 4 s; of a slower one it shows how fast it warms."""
@@ -366,19 +369,6 @@ def test_the_loss_by_a_lasting_current_is_as_uncertain_as_the_time_constant(benc
     assert abs(one.lasting_heating - true) < 2 * u
     assert abs(one.lasting_heating - other.lasting_heating) < u  # one sample of settling
     assert (one.lasting_heating_spread > 0.1 * true) == (bench.time_constant > 20)
-
-
-def test_hypotheses_without_heat_make_its_loss_as_uncertain_as_it_is_large(monkeypatch):
-    """Where heat raises the constant, a hypothesis counts without heat, also the most probable."""
-    bench = Bench()
-
-    def cold(*arguments):
-        return replace(weigh_hypotheses(*arguments), heat_loss=0.0, heat_loss_spread=0.0)
-
-    monkeypatch.setattr(staircase_fit, "weigh_hypotheses", cold)
-    slopes = analyse(bench, bench.record((20, 50), angles=3)).slopes
-    assert slopes.lasting_heating > 0
-    assert slopes.lasting_heating_spread >= slopes.lasting_heating
 
 
 def test_one_rotor_angle_leaves_the_heat_unknown():
