@@ -35,10 +35,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from designs import DESIGNS
+from designs import DESIGNS, group
 from numpy.typing import NDArray
 from scipy import stats
-from trials import Trial, trial
+from trials import Trial, trials
 
 FAR = 5.0
 """Pull that no result may exceed."""
@@ -113,15 +113,22 @@ def print_markdown(name: str, trials: Sequence[Trial]) -> None:
         print(row.markdown(name, len(trials), refused))
 
 
+def rigs_of(number: int, arguments: argparse.Namespace) -> int:
+    """Return how many rigs of a design are tried."""
+    if arguments.short:
+        return SHORT[DESIGNS[number].name]
+    return DESIGNS[number].rigs if arguments.rigs is None else int(arguments.rigs)
+
+
 def kept(path: Path | None) -> dict[str, dict[int, Trial]]:
     """Return the trials of a file by design and seed."""
-    found: dict[str, dict[int, Trial]] = {}
+    found: dict[str, dict[int, Trial]] = {design.name: {} for design in DESIGNS}
     if path is not None and path.exists():
         for line in path.read_text(encoding="utf-8").splitlines():
             one = json.loads(line)
             results = {(name, number): tuple(errors) for name, number, errors in one["found"]}
             trial_ = Trial(one["seed"], results, one["refusal"])
-            found.setdefault(one["design"], {})[trial_.seed] = trial_
+            found[one["design"]][trial_.seed] = trial_
     return found
 
 
@@ -158,7 +165,7 @@ def rows(trials: Sequence[Trial]) -> Iterator[Row]:
 def main() -> None:
     """Try every design and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rigs", type=int, help="drawn for each design (40; 4 that learn loads)")
+    parser.add_argument("--rigs", type=int, help="drawn for each design (40; 8 that learn loads)")
     parser.add_argument("--first", type=int, default=1, help="seed of the first rig")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--only", help="designs whose name contains this")
@@ -182,16 +189,18 @@ def main() -> None:
         pool = stack.enter_context(ProcessPoolExecutor(arguments.jobs))
         out = stack.enter_context(arguments.kept.open("a")) if arguments.kept else None
         for number in chosen:
+            together = [n for n in group(number) if n in chosen]
+            names = [DESIGNS[n].name for n in together]
+            seeds = range(arguments.first, arguments.first + rigs_of(number, arguments))
+            missing = [seed for seed in seeds if any(seed not in known[name] for name in names)]
+            for tried in pool.map(trials, [together] * len(missing), missing):
+                for name, one in zip(names, tried, strict=True):
+                    known[name][one.seed] = one
+                    if out is not None:
+                        out.write(line_of(name, one))
+                        out.flush()
             name = DESIGNS[number].name
-            usual = DESIGNS[number].rigs if arguments.rigs is None else arguments.rigs
-            count = SHORT[name] if arguments.short else usual
-            done = known.get(name, {})
-            seeds = [s for s in range(arguments.first, arguments.first + count) if s not in done]
-            for tried in pool.map(trial, [number] * len(seeds), seeds):
-                done[tried.seed] = tried
-                if out is not None:
-                    out.write(line_of(name, tried))
-                    out.flush()
+            done = known[name]
             if arguments.markdown:
                 print_markdown(name, list(done.values()))
             elif done:

@@ -66,15 +66,22 @@ class Design:
     compare: Callable[[Outcome, Recipe], Compared]
 
     @property
+    def learns(self) -> Step | None:
+        """The step of implementation D among its steps; designs that share one share their rigs."""
+        return learning_of(self.step)
+
+    @property
     def rigs(self) -> int:
         """Rigs that half an hour on two cores allows; learning known loads takes a minute each."""
-        return 4 if learns_loads(self.step) else 40
+        return 40 if self.learns is None else 8
 
 
-def learns_loads(step: Step) -> bool:
-    """Whether a step, or one that it rests on, is implementation D."""
-    own = step.settings.get("ilc_learn.implementation") == "D"
-    return own or any(learns_loads(one) for one in step.inputs.values())
+def learning_of(step: Step) -> Step | None:
+    """Return a step, or one that it rests on, if it is implementation D."""
+    if step.settings.get("ilc_learn.implementation") == "D":
+        return step
+    found = map(learning_of, step.inputs.values())
+    return next((one for one in found if one is not None), None)
 
 
 def by_name(truth: Callable[[Recipe], dict[str, float]]) -> Callable[[Outcome, Recipe], Compared]:
@@ -441,3 +448,11 @@ def wrong_bench() -> Iterator[Design]:
 
 DESIGNS = (*calibrate_kt(), *turning(), *loaded(), *wrong_bench())
 """A function a command or two, joined here."""
+
+
+def group(number: int) -> list[int]:
+    """Return the designs that are tried on one rig: this one, and those that share its loads."""
+    learns = DESIGNS[number].learns
+    if learns is None:
+        return [number]
+    return [n for n, design in enumerate(DESIGNS) if design.learns is learns]

@@ -1,15 +1,16 @@
-"""One rig of a design: drawn, measured by the command itself, compared with the truth."""
+"""One rig: drawn, measured by the command itself, compared with the truth."""
 
 from __future__ import annotations
 
 import math
 import tempfile
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from designs import DESIGNS, Step
+from designs import DESIGNS, Design, Step, group
 from drawn_rigs import Settings
 
 from rigtool.errors import InsufficientDataError
@@ -31,16 +32,26 @@ class Trial:
     refusal: str | None
 
 
-def trial(design_number: int, seed: int) -> Trial:
-    """Draw one rig, run the command on it and compare its results with the truth."""
-    design = DESIGNS[design_number]
-    drawn = design.draw(np.random.default_rng([0xC0FE, design_number, seed]))
+def trials(numbers: Sequence[int], seed: int) -> list[Trial]:
+    """Draw one rig, run each design on it and compare its results with the truth.
+
+    The rig is that of the first in the `group` of the designs; steps that they share run once.
+    """
+    first, *_ = group(numbers[0])
+    drawn = DESIGNS[first].draw(np.random.default_rng([0xC0FE, first, seed]))
+    done: dict[int, tuple[Outcome, Path]] = {}
     with tempfile.TemporaryDirectory() as folder:
-        done: dict[int, tuple[Outcome, Path]] = {}
-        try:
-            outcome = perform(design.step, drawn, seed, Path(folder), done)
-        except InsufficientDataError as error:
-            return Trial(seed, {}, str(error))
+        return [trial(DESIGNS[number], drawn, seed, Path(folder), done) for number in numbers]
+
+
+def trial(
+    design: Design, drawn: Settings, seed: int, folder: Path, done: dict[int, tuple[Outcome, Path]]
+) -> Trial:
+    """Run a design on a drawn rig and compare its results with the truth."""
+    try:
+        outcome = perform(design.step, drawn, seed, folder, done)
+    except InsufficientDataError as error:
+        return Trial(seed, {}, str(error))
     recipe, _ = load_recipe(RECIPE, settings_of(design.step, drawn, seed))
     found = {
         (name, number): (result.value - true, result.u, result.dof or math.inf)

@@ -12,10 +12,10 @@ FAR = 5.0
 def test_a_drawn_rig_is_within_what_is_stated(monkeypatch):
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     from designs import DESIGNS
-    from trials import trial
+    from trials import trials
 
     (number,) = (n for n, design in enumerate(DESIGNS) if design.name == "calibrate-kt, 3 x 2")
-    tried = trial(number, seed=2)
+    (tried,) = trials([number], seed=2)
     assert tried.refusal is None
     names = {name for name, _ in tried.found}
     assert {"torque_constant", "amplifier_gain"} <= names
@@ -23,3 +23,14 @@ def test_a_drawn_rig_is_within_what_is_stated(monkeypatch):
         width = u * stats.t.ppf(0.975, dof) / stats.norm.ppf(0.975)
         assert abs(error) < FAR * width
         assert 0 < u < math.inf
+
+
+def test_designs_that_learn_the_same_loads_share_a_rig(monkeypatch):
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    import designs
+
+    groups = {tuple(designs.group(number)) for number in range(len(designs.DESIGNS))}
+    assert sorted(number for group in groups for number in group) == [*range(len(designs.DESIGNS))]
+    shared = [[designs.DESIGNS[n] for n in group] for group in groups if len(group) > 1]
+    assert [len({one.draw for one in group}) for group in shared] == [1, 1]
+    assert all(one.learns is not None for group in shared for one in group)

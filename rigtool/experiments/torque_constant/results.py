@@ -55,8 +55,9 @@ def _results(found: Calibration, reading_relative_u: float) -> dict[str, Quantit
     lack = "lack of fit and scatter"
     heat_loss = [
         error_line("scatter over the angles", slopes.lasting_heating_u, "1/A2", slopes.heating_dof),
-        error_line("time constant of the winding", slopes.lasting_heating_spread, "1/A2"),
-        error_line("noise in the swings", slopes.lasting_heating_path, "1/A2"),
+        error_line(
+            "time constant of the winding, path of friction", slopes.lasting_heating_spread, "1/A2"
+        ),
     ]
     results = {
         "torque_constant": found.torque_constant,

@@ -6,11 +6,12 @@ The model is equation (1) of `rigtool.experiments.torque_constant.staircase_mode
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from rigtool.experiments.torque_constant.gauge_rounding import rounding_errors, spread_over_zeros
+from rigtool.experiments.torque_constant.heat_loss import loss_by_heat
 from rigtool.experiments.torque_constant.hypotheses import weigh_hypotheses
 from rigtool.experiments.torque_constant.staircase import Plateaus
 from rigtool.experiments.torque_constant.staircase_levels import (
@@ -57,8 +58,8 @@ class Slopes:
     `heating` is the relative amount by which heat in the winding lowered the slopes on average,
     `heating_u` its standard uncertainty with `heating_dof`; `lasting_heating` 1/A2 is what a
     current lowers the constant by within `HEATING_TIME`, over its square, `lasting_heating_u` its
-    standard uncertainty from scatter, `lasting_heating_spread` that from tau and
-    `lasting_heating_path` that from noise in the swings, friction's path; `friction_u` the
+    standard uncertainty from scatter, `lasting_heating_spread` that from tau and from friction's
+    path; `friction_u` the
     relative standard uncertainty from the model of friction with `friction_dof`, `friction_share`
     the relative part by which friction changes a straight line's slope; `resolution_u` that from
     the resolution of the gauge, `rounding` (places, m) in N m/A what it adds to each slope with the
@@ -86,7 +87,6 @@ class Slopes:
     lasting_heating: float
     lasting_heating_u: float
     lasting_heating_spread: float
-    lasting_heating_path: float
     friction_u: float
     friction_dof: float
     friction_share: float
@@ -118,12 +118,10 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     average = np.full(len(rise), 1 / len(rise))
     coefficient = _about(stairs)
     hypotheses = weigh_hypotheses(stairs, coefficient, trend)
-    stairs = hypotheses.stairs
-    solution = _solve(stairs, hypotheses.best, coefficient, rise)
+    stairs, best = hypotheses.means.stairs, hypotheses.weighed.best
+    solution = _solve(stairs, best, coefficient, rise)
+    lasting, lasting_u = loss_by_heat(hypotheses)
     constant = hypotheses.constant
-    lasting = solution.loss * hypotheses.best.warming()
-    noisy = replace(stairs, courses=stairs.courses.with_noise())
-    along_noise = _solve(noisy, hypotheses.best, coefficient, rise).loss
     share = abs(straight_slope(stairs) / constant - 1 + solution.heating)
     fitted = stairs.torque - solution.fit.residual
     errors = rounding_errors(stairs, fitted)
@@ -155,22 +153,17 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         heating_u=solution.heating_u,
         heating_dof=solution.heating_dof,
         lasting_heating=lasting,
-        lasting_heating_u=solution.loss_u * hypotheses.best.warming(),
-        lasting_heating_spread=math.hypot(
-            hypotheses.heat_loss_spread,
-            hypotheses.heat_loss - lasting,
-            lasting * hypotheses.untried,
-        ),
-        lasting_heating_path=abs(along_noise * hypotheses.best.warming() - lasting),
+        lasting_heating_u=solution.loss_u * best.warming(),
+        lasting_heating_spread=lasting_u,
         friction_u=math.hypot(u, hypotheses.spread) / constant,
         friction_dof=dof,
         friction_share=share,
         resolution_u=max(resolution_u, moved_u) / constant,
         rounding=rounding,
         trend_u=math.hypot(trend_u, hypotheses.drift, trend_resolution_u),
-        transition=hypotheses.best.transition,
-        exponent=hypotheses.best.exponent,
-        time_constant=hypotheses.best.time_constant,
+        transition=best.transition,
+        exponent=best.exponent,
+        time_constant=best.time_constant,
         level=level,
         rising=rising,
         falling=falling,

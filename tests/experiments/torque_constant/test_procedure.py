@@ -83,21 +83,6 @@ def test_friction_takes_no_part_of_a_ripple_that_follows_steps_late_or_at_once(t
     assert_allclose(results["torque_constant_ripple"].value, 0.005 / math.sqrt(2), rtol=0.01)
     first = results["torque_constant_ripple_small_current"].value
     assert_allclose(first, 0.005 / math.sqrt(2), rtol=0.06)
-    assert swings_in(results["winding_heat_loss"]) < 0.015
-
-
-def test_noise_of_swings_along_which_friction_goes_makes_the_loss_by_heat_uncertain(tmp_path):
-    loud = ("coulomb_friction=9.2e-3", "static_friction=16e-3")
-    settings = [f"virtual.motor.{setting}" for setting in loud]
-    settings.append("virtual.sensors.force_noise=2e-3")
-    results = run(CALIBRATE_KT, RECIPE, tmp_path / "kt.h5", SHORT[0], *settings).results
-    assert swings_in(results["winding_heat_loss"]) > 0.025
-
-
-def swings_in(loss) -> float:
-    """Return the uncertainty of a loss by noise in the swings, relative to the loss."""
-    (line,) = (line for line in loss.budget if line.name == "noise in the swings")
-    return line.contribution / loss.value
 
 
 def test_analysis_of_the_file_gives_the_same(measured, tmp_path):

@@ -13,8 +13,6 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.torque_constant import staircase_fit
-from rigtool.experiments.torque_constant.hypotheses import weigh_hypotheses
 from rigtool.experiments.torque_constant.ripple_over_turn import first_ripple, ripple_over_turn
 from rigtool.experiments.torque_constant.staircase import (
     Linearity,
@@ -383,7 +381,12 @@ def test_a_drift_within_the_staircases_is_taken_out_of_the_torque():
 
 
 @pytest.mark.parametrize(
-    "bench", [Bench(), Bench(time_constant=60.0), Bench(heating=0.05, time_constant=4.0)]
+    "bench",
+    [
+        Bench(),
+        Bench(time_constant=60.0),
+        Bench(friction=0.2e-3, force_noise=1e-4, heating=0.05, time_constant=4.0),
+    ],
 )
 def test_the_loss_by_a_lasting_current_is_as_uncertain_as_the_time_constant(bench):
     """A staircase of 8 s shows a winding of 4 s; of a slower one it shows how fast it warms."""
@@ -398,19 +401,6 @@ def test_the_loss_by_a_lasting_current_is_as_uncertain_as_the_time_constant(benc
     assert abs(one.lasting_heating - true) < 2 * u
     assert abs(one.lasting_heating - other.lasting_heating) < u  # one sample of settling
     assert (one.lasting_heating_spread > 0.1 * true) == (bench.time_constant > 20)
-
-
-def test_hypotheses_without_heat_make_its_loss_as_uncertain_as_it_is_large(monkeypatch):
-    """Where heat raises the constant, a hypothesis counts without heat, also the most probable."""
-    bench = Bench()
-
-    def cold(*arguments):
-        return replace(weigh_hypotheses(*arguments), heat_loss=0.0, heat_loss_spread=0.0)
-
-    monkeypatch.setattr(staircase_fit, "weigh_hypotheses", cold)
-    slopes = analyse(bench, bench.record((20, 50), angles=3)).slopes
-    assert slopes.lasting_heating > 0
-    assert slopes.lasting_heating_spread >= slopes.lasting_heating
 
 
 def test_one_rotor_angle_leaves_the_heat_unknown():
@@ -503,12 +493,10 @@ def test_torque_scales_the_constant_and_nothing_else(factor, seed):
     assert_allclose(other.coefficient.value, one.coefficient.value, rtol=1e-4)
     alike = (
         "heating heating_u heating_dof lasting_heating lasting_heating_u lasting_heating_spread "
-        "lasting_heating_path friction_u friction_dof friction_share deflection deflection_u "
+        "friction_u friction_dof friction_share deflection deflection_u "
         "exponent time_constant temperature level dof hysteresis_dof"
     )
-    scaled = (
-        "slope first first_u zero u transition span rising falling hysteresis hysteresis_u trend_u"
-    )
+    scaled = "slope first first_u zero u transition rising falling hysteresis hysteresis_u trend_u"
     for names, size in ((alike, 1.0), (scaled, factor)):
         for name in names.split():
             a, b = (getattr(found.slopes, name) for found in (one, other))

@@ -1,0 +1,209 @@
+"""Mean staircases, one of each kind, and what hypotheses about all of them leave.
+
+A hypothesis fixes s, tau, exponent and lag in (1) of
+`rigtool.experiments.torque_constant.staircase_model`; all else is linear there:
+
+    torque = X(s, tau, e, lag) b + residual,   Q = mean over kinds of sum of residual^2
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rigtool.experiments.torque_constant.staircase_model import Common, Stairs, mean_of, winding
+from rigtool.experiments.torque_constant.swings import friction_state, paths, straight_path
+from rigtool.numerics.arrays import Array
+from rigtool.numerics.residual_covariance import independent_samples
+
+LARGEST_FRICTION = 0.25
+"""Largest friction, relative to the span of the torque."""
+
+PARAMETERS = 7
+"""Linear parameters of a mean staircase."""
+
+
+class MeanStaircases:
+    """Mean staircases, one of each kind, and what hypotheses leave of them.
+
+    `coefficient` is c of (1), 1/K; `trend` (m,) combines the constants of the staircases to their
+    change with temperature, 1/K. In shapes, g counts kinds, p plateaus, s transitions, c columns.
+    """
+
+    def __init__(self, stairs: Stairs, coefficient: float, trend: Array) -> None:
+        self.stairs, self._coefficient = stairs, coefficient
+        kind = stairs.courses.kind
+        self._members = [kind == number for number in range(int(kind.max()) + 1)]
+        self._share = np.array([np.mean(those) for those in self._members])
+        self._weight, self._step = self._mean(stairs.weight), self._mean(stairs.last_step)
+        torque = self._mean(stairs.torque)
+        combined = [
+            np.sum(trend[those, None] * stairs.torque[those], axis=0) for those in self._members
+        ]
+        self._torque = np.stack([torque, np.stack(combined)], axis=2)  # (g, p, 2)
+        self._span = float(np.ptp(torque))
+        self.dof = int(self._weight.sum()) - PARAMETERS * len(self._members)
+
+    def with_noise(self) -> MeanStaircases:
+        """Return these staircases with the courses as they were measured."""
+        other = copy(self)
+        other.stairs = replace(self.stairs, courses=self.stairs.courses.with_noise())
+        return other
+
+    def _mean(self, values: Array) -> Array:
+        return np.stack([values[those].mean(axis=0) for those in self._members])
+
+    def thermal(self, time_constant: float) -> tuple[Array, Array]:
+        """Return current, warmed, and its loss by heat, (2, g, p)."""
+        heat, warmth = winding(self.stairs, time_constant)
+        drift = warmth - mean_of(warmth, self.stairs.weight)[:, None]
+        current = self.stairs.current * (1 + self._coefficient * drift)
+        return self._mean(current), self._mean(current * heat)
+
+    def _ways(self, lags: Sequence[float | None]) -> list[Array]:
+        """Return the path of each lag; None alone, there is no lag, has that of straight steps."""
+        courses = self.stairs.courses
+        some = [lag for lag in lags if lag is not None]
+        if not some:
+            return [straight_path(courses)]
+        return list(paths(courses, courses.torque, courses.course, some))
+
+    def _friction(
+        self, way: Array, transition: ArrayLike, exponent: ArrayLike
+    ) -> tuple[Array, Array]:
+        a, b = friction_state(way, transition, exponent)
+        return -a * self._weight, -b * self._weight  # (..., g, p)
+
+    def try_all(self, axes: list[Array]) -> tuple[list[Common], Array, Array]:
+        """Return all hypotheses of a grid, their Q (n,) and slopes (n, 3): mean, trend, loss by
+        heat."""
+        transition, tau, exponents = (np.exp(axis) for axis in axes[:3])
+        lags: list[float | None] = [None]
+        if len(axes) > 3:
+            lags = list(np.exp(axes[3]).tolist())
+        ways = np.stack(self._ways(lags), axis=1)
+        columns = self._friction(ways, transition[:, None, None], exponents[:, None, None, None])
+        shape = (len(tau), *columns[0].shape[:3])
+        fits = [
+            self._fit(*thermal, [each.reshape(-1, *self._weight.shape) for each in pair])
+            for thermal in map(self.thermal, tau.tolist())
+            for pair in zip(*columns, strict=True)
+        ]
+        square, slope, free = (
+            np.moveaxis(np.reshape(parts, (*shape, *parts[0].shape[1:])), 2, 0)
+            for parts in zip(*fits, strict=True)
+        )
+        commons = [
+            Common(None if without else float(s), float(exponent), lag, float(t))
+            for (s, t, exponent, lag), without in zip(
+                product(transition, tau, exponents, lags), free.ravel(), strict=True
+            )
+        ]
+        slope = slope.reshape(-1, 3)
+        slope[:, 2] *= [common.warming() for common in commons]
+        return commons, square.ravel(), slope
+
+    def _fit(
+        self, current: Array, lost: Array, friction: Sequence[Array]
+    ) -> tuple[Array, Array, Array]:
+        """Return Q (s,), slopes (s, 3), and which transitions are without friction (s,)."""
+        square, slope, free, added = self._fit_columns(current, [lost], friction)
+        gains = added > 0  # as no magnet does by heat
+        if not gains.any():
+            return square, slope, free
+        cold, cold_slope, cold_free, _ = self._fit_columns(current, [], friction)
+        slope = np.where(gains[:, None], cold_slope, slope)
+        return np.where(gains, cold, square), slope, np.where(gains, cold_free, free)
+
+    def _fit_columns(
+        self, current: Array, lost: list[Array], friction: Sequence[Array]
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return Q (s,), slopes (s, 3), without friction (s,), and what heat adds (s,)."""
+        smooth = np.stack([current, self._weight, self._step, *lost], axis=2)[None]
+        saturation = (current * np.abs(current))[None, :, :, None]
+        plain = np.broadcast_to(smooth, (len(friction[0]), *smooth.shape[1:]))
+        slid = np.concatenate([plain, *(column[..., None] for column in friction)], axis=3)
+        more = np.broadcast_to(saturation, (*slid.shape[:3], 1))
+        square, found, of_slid = self._least_squares(np.concatenate([slid, more], axis=3))
+        none, bare, of_smooth = self._least_squares(np.concatenate([smooth, saturation], axis=3))
+        level = found[..., 3 + len(lost), 0] @ self._share
+        free = level <= 0
+        square = np.where(free, none, square)
+        square = np.where(level > LARGEST_FRICTION * self._span, np.inf, square)
+        added = np.where(free, bare[..., 3, 0] @ self._share, found[..., 3, 0] @ self._share)
+        # The ripple's i |i| averages out over angles; as a column it would take most of the slope.
+        slope, without = (self._slopes(of, bool(lost)) for of in (of_slid, of_smooth))
+        return square, np.where(free[:, None], without, slope), free, added
+
+    def _slopes(self, found: Array, warmed: bool) -> Array:
+        """Return mean slope, trend and relative loss by heat (s, 3) from parameters (s, g, c, 2),
+        the fourth of which is that loss where the winding is `warmed`."""
+        mean = found[..., 0, 0] @ self._share
+        loss = -found[..., 3, 0] @ self._share / mean if warmed else np.zeros(mean.shape)
+        slopes: Array = np.stack([mean, np.sum(found[..., 0, 1], axis=1), loss], axis=1)
+        return slopes
+
+    def _least_squares(self, design: Array) -> tuple[Array, Array, Array]:
+        """Return Q (s,) of the mean torque and parameters (s, g, c, 2) of designs (s, g, p, c); and
+        the parameters (s, g, c - 1, 2) without the last column, whose factors are in the others."""
+        q, r = np.linalg.qr(design)
+        projected = np.swapaxes(q, 2, 3) @ self._torque
+        rest = self._torque[..., 0] - (q @ projected[..., :1])[..., 0]
+        square = np.sum(rest**2, axis=2) @ self._share
+        fewer = np.linalg.solve(r[..., :-1, :-1], projected[..., :-1, :])
+        return square, np.linalg.solve(r, projected), fewer
+
+    def smooth(self, common: Common) -> None:
+        """Take off the courses what a hypothesis leaves of the mean torques, as noise; and off
+        their rates what its columns, and the ripple's i |i|, leave of these: noise and rounding."""
+        noise = self.residual(common).reshape(self._weight.shape)
+        courses = self.stairs.courses
+        columns = self.columns(common)
+        columns.append(columns[0] * np.abs(columns[0]))
+        rest = [left_by(columns, rate) for rate in np.moveaxis(courses.torque_rate, 1, 0)]
+        self.stairs = replace(self.stairs, courses=courses.less(noise, np.stack(rest, axis=1)))
+
+    def columns(self, common: Common) -> list[Array]:
+        """Return the columns of (1) on the mean staircases, current first, (g, p) each."""
+        current, lost = self.thermal(common.time_constant)
+        columns = [current, self._weight, self._step, lost]
+        if common.transition is not None:
+            (way,) = self._ways([common.lag])
+            columns += self._friction(way, common.transition, common.exponent)
+        return columns
+
+    @property
+    def plateaus(self) -> float:
+        """Plateaus of a mean staircase."""
+        return float(self._weight.sum()) / len(self._members)
+
+    def friction(self, common: Common) -> float:
+        """Return friction's largest torque under a hypothesis, N m; 0 where it has none."""
+        if common.transition is None:
+            return 0.0
+        q, r = np.linalg.qr(np.stack(self.columns(common), axis=2))
+        found = np.linalg.solve(r, np.swapaxes(q, 1, 2) @ self._torque[..., :1])
+        return float(self._share @ found[:, 4, 0])
+
+    def residual(self, common: Common) -> Array:
+        """Return the residual of (1) with the ripple's i |i| on the mean staircases, (g p,) N m."""
+        columns = self.columns(common)
+        curved = columns[0] * np.abs(columns[0])
+        return left_by([*columns, curved], self._torque[..., 0]).ravel()
+
+    def independent(self, common: Common) -> float:
+        """Return how many independent residuals a hypothesis leaves, less its parameters."""
+        residual, used = self.residual(common), self._weight.ravel() > 0
+        return independent_samples(residual, used, 1) - PARAMETERS * len(self._members)
+
+
+def left_by(columns: list[Array], torque: Array) -> Array:
+    """Return what least squares leave of torques (g, p) by columns (g, p) of each kind."""
+    q, _ = np.linalg.qr(np.stack(columns, axis=2))
+    rest: Array = torque - np.einsum("gpc,gc->gp", q, np.einsum("gpc,gp->gc", q, torque))
+    return rest

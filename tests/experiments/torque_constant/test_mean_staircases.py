@@ -1,0 +1,92 @@
+"""What hypotheses make of mean staircases."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rigtool.experiments.torque_constant.hypotheses import weigh_hypotheses
+from rigtool.experiments.torque_constant.mean_staircases import MeanStaircases
+from rigtool.experiments.torque_constant.staircase import plateaus_of_set_point
+from rigtool.experiments.torque_constant.staircase_model import arrange, winding
+from rigtool.experiments.torque_constant.swings import friction_state, straight_path
+from rigtool.numerics.residual_covariance import independent_samples
+from tests.experiments.torque_constant.staircases import Bench
+
+
+def test_friction_is_the_bench_s_and_none_where_a_hypothesis_has_none():
+    bench = Bench(friction=4e-3, force_noise=1e-4, ripple=(), saturation=0.0)
+    signals = bench.record((20, 50), angles=2)
+    stairs = arrange(plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08))
+    found = weigh_hypotheses(stairs, bench.coefficient, np.zeros(4))
+    assert found.means.friction(found.weighed.best) == pytest.approx(4e-3, rel=0.05)
+    without = type(found.weighed.best)(None, 1.0, None, 30.0)
+    assert found.means.friction(without) == 0.0
+    assert found.means.plateaus == 41
+
+
+def test_noise_comes_back_into_the_courses_alone():
+    bench = Bench(ripple=(), saturation=0.0)
+    stairs = arrange(
+        plateaus_of_set_point(**bench.record((20,), angles=2), arm_length=0.54, settle_time=0.08)
+    )
+    means = weigh_hypotheses(stairs, bench.coefficient, np.zeros(2)).means
+    noisy, quiet = means.with_noise().stairs.courses, means.stairs.courses
+    assert np.array_equal(noisy.course, quiet.course + stairs.courses.dropped)
+    assert np.abs(noisy.course - quiet.course).max() > 1e-5
+    assert means.stairs.courses is quiet
+
+
+@pytest.fixture(scope="module")
+def stairs():
+    signals = Bench(saturation=0.0).record((20, 50), angles=2)
+    return arrange(plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08))
+
+
+@pytest.mark.parametrize("friction", [2e-3, -2e-3, 0.06])
+@pytest.mark.parametrize("loss", [1e-4, -1e-4])
+def test_a_hypothesis_leaves_what_least_squares_leave_of_the_mean_staircase(stairs, friction, loss):
+    """Friction opposes motion and is not most of the torque; no magnet gains by heat."""
+    rng = np.random.default_rng(3)
+    coefficient, s, tau, exponent = -1e-3, 0.012, 25.0, 1.5
+    trend = np.array([-1.0, -1.0, 1.0, 1.0]) / 60
+    heat, warmth = winding(stairs, tau)
+    drift = warmth - warmth.mean(axis=1, keepdims=True)
+    current = stairs.current * (1 + coefficient * drift)
+    a, b = (each[0] for each in friction_state(straight_path(stairs.courses), s, exponent))
+    torque = 0.05 * current * (1 - loss * heat) - friction * a + 0.01
+    torque = torque * np.array([1.0, 1.0, 0.97, 0.97])[:, None]
+    torque = torque + 1e-5 * rng.standard_normal(torque.shape)
+    means = MeanStaircases(replace(stairs, torque=torque), coefficient, trend)
+    count = torque.shape[1]
+    assert means.dof == count - 7
+    (common,), (square,), (slope,) = means.try_all([np.log([s]), np.log([tau]), np.log([exponent])])
+    mean = current.mean(axis=0)
+    columns = [mean, np.ones(count), stairs.last_step[0]]
+    if loss > 0:
+        columns.append((current * heat).mean(axis=0))
+    if friction > 0:
+        columns += [-a, -b]
+    both = np.column_stack([torque.mean(axis=0), trend @ torque])
+
+    def fitted(columns):
+        design = np.column_stack(columns)
+        found = np.linalg.lstsq(design, both, rcond=None)[0]
+        return found, np.sum((both - design @ found)[:, 0] ** 2)
+
+    _, left = fitted([*columns, mean * np.abs(mean)])
+    without_curve, _ = fitted(columns)
+    if friction > 0.25 * np.ptp(torque.mean(axis=0)):
+        assert square == np.inf
+        return
+    assert square == pytest.approx(left, rel=1e-6)
+    np.testing.assert_allclose(slope[:2], without_curve[0], rtol=1e-6)
+    assert common.transition == (pytest.approx(s) if friction > 0 else None)
+    assert (common.exponent, common.time_constant) == pytest.approx((exponent, tau))
+    lost = -without_curve[3, 0] / without_curve[0, 0] * common.warming() if loss > 0 else 0.0
+    assert slope[2] == pytest.approx(lost, rel=1e-6)
+    if friction > 0 and loss > 0:
+        rest = means.residual(common)
+        assert rest @ rest == pytest.approx(left, rel=1e-6)
+        used = np.ones(count, dtype=bool)
+        assert means.independent(common) == independent_samples(rest, used, 1) - 7
