@@ -581,18 +581,21 @@ static inline void rs_ahead(struct rigtool_sensor *s)
     rs_pass(s);
 }
 
-/* Count the steps within two counts; whether a rest ends. */
-static inline int rs_leaves(struct rigtool_sensor *s)
+/* Count the steps within two counts; whether a rest has lasted, or ends. */
+static inline int rs_limits_rest(struct rigtool_sensor *s)
 {
     const int32_t moved = (int32_t)((uint32_t)s->encoder - (uint32_t)s->counted);
     const int up = s->rested_up, down = s->rested_down, before = up > down ? up : down;
+    int after;
     s->rested_up = moved == 0 ? up + 1 : moved == -1 ? down + 1 : 0;
     s->rested_down = moved == 0 ? down + 1 : moved == 1 ? up + 1 : 0;
     if (s->rested_up > RS_REST_STEPS)
         s->rested_up = RS_REST_STEPS + 1;
     if (s->rested_down > RS_REST_STEPS)
         s->rested_down = RS_REST_STEPS + 1;
-    return before > RS_REST_STEPS && s->rested_up < RS_REST_STEPS && s->rested_down < RS_REST_STEPS;
+    after = s->rested_up > s->rested_down ? s->rested_up : s->rested_down;
+    return (before > RS_REST_STEPS && after < RS_REST_STEPS) ||
+           (after > RS_REST_STEPS && before <= RS_REST_STEPS);
 }
 
 /* The end of the samples of a step: what the equations do not know is added. */
@@ -619,7 +622,7 @@ static inline void rs_predicted(struct rigtool_sensor *s)
     for (i = RS_NOISY - 1; i >= 0; i--)
         rows.weight[i] = rs_add_walk(s, added[i], rows.other[i], RS_MOVING + i);
     rs_triangular(s, &rows);
-    fresh = rs_leaves(s);
+    fresh = rs_limits_rest(s);
     if (s->x[RS_HOUSING] * s->direction < (rs_real)-0.5) {
         s->direction = -s->direction;
         fresh = 1;

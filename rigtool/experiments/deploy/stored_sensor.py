@@ -10,7 +10,11 @@ from rigtool.experiments.force_filter import passed
 from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import Reach
 from rigtool.experiments.force_model.stored import model_from
-from rigtool.experiments.force_sensor.procedure_over_time import reach_of, require_calibration
+from rigtool.experiments.force_sensor.procedure_calibration import (
+    require_calibration,
+    with_zero_of,
+)
+from rigtool.experiments.force_sensor.procedure_over_time import reach_of
 from rigtool.experiments.force_sensor.procedure_reading import instrument_of
 from rigtool.experiments.learning.stored_table import origin_of
 from rigtool.recipe import Recipe
@@ -38,6 +42,7 @@ def sensor(tables: Run, kt: Run | None) -> tuple[str, tuple[str, ...], list[Path
             "that the tables were learned with"
         )
     require_calibration(kt, recipe)
+    model = with_zero_of(model, kt)
     reach = reach_of(tables, kt)
     instrument = instrument_of(recipe, kt, model, reach, recipe.rig.sample_time)
     calibration = f"Torque constant of {kt.path.name}, content sha256 {kt.content_sha256}."

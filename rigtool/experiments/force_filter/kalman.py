@@ -62,8 +62,9 @@ STEP_THRESHOLD, SLOW_THRESHOLD = 4e-3, 10e-3
 """Sums (standard deviations times s) from which on a step, or a slow change, is under way."""
 
 REST_TIME = 1.0
-"""Time within two counts, s, after which the stroke's deviation returns to its prior as the rotor
-leaves them: in a rest the errors of the equations, small but of one sign, pass for a deviation."""
+"""Time within two counts, s, after which the stroke's deviation returns to its prior, and again as
+the rotor leaves them: in a rest the errors of the equations, small but of one sign, pass for a
+deviation, which is neither that of the stroke before nor that of the one after."""
 
 FOLLOWED = (ANGLE, SPEED, HOUSING, SINE, COSINE, TORQUE)
 """States through which the torque follows an unknown drive torque: `power_up`."""
@@ -168,8 +169,9 @@ def rest_steps(span: float) -> float:
 
 
 @compiled
-def leaves_rest(s: Record, moved: float, width: float, span: float) -> bool:
-    """Count the steps within two counts; return whether this move, rad, ends a rest."""
+def limits_rest(s: Record, moved: float, width: float, span: float) -> bool:
+    """Count the steps within two counts; return whether a rest has lasted for `REST_TIME`, or one
+    that had ends, with this move, rad."""
     before, up, down = max(s.rested_up, s.rested_down), s.rested_up, s.rested_down
     s.rested_up, s.rested_down = 0.0, 0.0
     if abs(moved) < 0.5 * width:
@@ -178,7 +180,8 @@ def leaves_rest(s: Record, moved: float, width: float, span: float) -> bool:
         s.rested_down = up + 1.0
     elif abs(moved + width) < 0.5 * width:
         s.rested_up = down + 1.0
-    return before > rest_steps(span) > max(s.rested_up, s.rested_down)
+    after, limit = max(s.rested_up, s.rested_down), rest_steps(span)
+    return before > limit > after or after > limit >= before
 
 
 @compiled
@@ -234,12 +237,12 @@ def _predict(
     factors: Array,
     kept: float,
     least: float,
-    leaves: bool,
+    limits: bool,
 ) -> bool:
     """Advance mean and covariance by step k; whether a stroke began.
 
     The torque's noise has the level `least`, at least; `kept` of the friction's noise remains.
-    `leaves` states that a rest ends.
+    `limits` states that a rest has lasted, or ends.
     """
     x, samples = s.mean, torque.shape[1]
     span = samples * p.sample_time
@@ -270,7 +273,7 @@ def _predict(
     turned_back = x[HOUSING] * s.direction < -0.5
     if turned_back:
         s.direction = -s.direction
-    if turned_back or leaves:
+    if turned_back or limits:
         for i in (SINE, COSINE, LOAD):
             deviation = u.load_stroke if i == LOAD else u.stroke
             x[i] = 0.0
@@ -423,7 +426,7 @@ def run(
             factors,
             kept,
             least[k],
-            leaves_rest(s, low[k] - s.low, width, span),
+            limits_rest(s, low[k] - s.low, width, span),
         )
         moved, informed, before = _update(s, u, rows, low[k], width, span, memory, idle[k], gain)
         for i in range(STATES):

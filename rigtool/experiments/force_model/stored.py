@@ -26,7 +26,7 @@ SCALES, LIMITS = "force_scales", "contact_thresholds"
 MODEL_PREFIX = "model_"
 """Prefix of results that belong to the model."""
 
-OFFSET = "offset_current"
+OFFSET, CONSTANT = "offset_current", "torque_constant"
 
 MODEL_UNITS = {
     "bearing_length": "rad",

@@ -18,6 +18,14 @@ from rigtool.experiments.force_filter.motion_states import CREEP_SPEED_RATIO, Re
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.stored import model_from
 from rigtool.experiments.force_sensor.encoder_zero import EncoderZero, encoder_zero
+from rigtool.experiments.force_sensor.procedure_calibration import (
+    require_calibration,
+    with_zero_of,
+)
+from rigtool.experiments.force_sensor.procedure_instrument import (
+    largest_friction,
+    of_this_instrument,
+)
 from rigtool.experiments.force_sensor.procedure_motion import (
     path_from_start,
     require_learned,
@@ -31,17 +39,9 @@ from rigtool.experiments.force_sensor.procedure_reading import (
 )
 from rigtool.experiments.force_sensor.results_over_time import Recorded, force_outcome
 from rigtool.experiments.force_sensor.stretch import shortest_stretch
-from rigtool.experiments.force_sensor.unknown_friction import (
-    DOUBTED,
-    FEWEST_PASSES,
-    REFUSED,
-    unknown_friction,
-    unknown_share,
-)
 from rigtool.experiments.learning.stored_table import feedforward_from, require_rig
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
-from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig, Task
 from rigtool.rigs.motion import Observe
@@ -49,12 +49,6 @@ from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
 
 OF_THE_LOOP = ("position_setpoint", "feedforward_current", "table_current")
 """Channels that are recorded besides where rigtool moves the rig."""
-
-OTHER_MOTOR = 1.5
-"""Ratio of a calibrated torque constant to the data sheet's from which on it is another motor's."""
-
-HAND_PART_OF_FRICTION = 0.5
-"""Part of the friction from which on a torque that drives an observed rig is that of a hand."""
 
 
 # -- measuring
@@ -159,86 +153,31 @@ def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: R
         else:
             read = again
     _require_values(read, recorded, reach)
-    read, notes = _of_this_instrument(read, model, tables, observed=observed, zero=zero)
+    read, notes = of_this_instrument(read, model, tables, kt, observed=observed, zero=zero)
+    notes += _other_tip(tables, recipe)
     outcome = force_outcome(read, recipe, reach, model.scales[0], model.limits)
     return replace(outcome, notes=(*outcome.notes, *notes))
-
-
-def _largest_friction(model: ForceModel, observed: bool) -> float | None:
-    """Return the torque N m with which friction may drive a pass: more is a hand, which may have
-    moved a rig that was `observed`; None where rigtool moved it."""
-    plant = model.plant(1.0)
-    friction = plant.torque_factor * (plant.coulomb + plant.housing_friction)
-    return HAND_PART_OF_FRICTION * friction if observed else None
 
 
 def _zero(
     read: Sequence[Recorded], recipe: Recipe, model: ForceModel, reach: Reach, *, observed: bool
 ) -> EncoderZero | None:
     """Return the zero that the encoder has, where the recordings show that it is another one."""
-    count, hand = 2 * math.pi / recipe.rig.encoder_counts, _largest_friction(model, observed)
+    count, hand = 2 * math.pi / recipe.rig.encoder_counts, largest_friction(model, observed)
     passes = [part.passes[1] for r in read for part in r.parts]
     return encoder_zero(passes, model, reach.angle, count, hand) if passes else None
 
 
-def _of_this_instrument(
-    read: Sequence[Recorded],
-    model: ForceModel,
-    tables: Run,
-    *,
-    observed: bool,
-    zero: EncoderZero | None = None,
-) -> tuple[list[Recorded], list[str]]:
-    """Return the recordings with u widened where the tables do not hold the friction, and notes.
-
-    Where a rig was `observed`, a hand may have moved it; they were read with the `zero`. Raises
-    `InsufficientDataError` where the friction is that of another instrument.
-    """
-    forms = zip(*(part.passes for r in read for part in r.parts), strict=True)
-    both = [unknown_friction(form, _largest_friction(model, observed)) for form in forms]
-    found = max(filter(None, both), key=lambda one: one.size, default=None)
-    share = unknown_share([part.passes[0] for r in read for part in r.parts])
-    grows = [
-        f"through reversals under a load, torque is {100 * abs(share):.1f} % "
-        f"{'more' if share > 0 else 'less'} against the load's direction of motion and as much "
-        "the other way with it: u is wider by this share; the load opposes motion itself, or "
-        f"{tables.path} does not hold the friction under load: learn again"
-    ] * (share != 0)
-    spread = 0.0
-    if zero is not None:
-        degrees, spread = np.degrees([zero.moved, zero.u]), zero.spread
-        grows.append(
-            f"the encoder shows {degrees[0]:.1f}({degrees[1]:.1f}) deg of the motor more than when "
-            f"{tables.path} was learned, by friction and ripple along the angle: torque is read "
-            "with this taken off, what --stream and --live show is not; zero the encoder where it "
-            "was zeroed then"
-        )
-    if found is None:
-        return _widened(read, spread, share), [
-            *grows,
-            f"whether {tables.path} is of this instrument was not checked: that needs the same "
-            f"angles {FEWEST_PASSES} times in both directions, with nothing touching in most",
-        ]
-    size, limit = found.size * 1e3, f"{tables.path} does not hold"
-    if found.typical > REFUSED:
-        raise InsufficientDataError(
-            f"every motion is opposed in both directions by {size:.3g} mN m of friction that "
-            f"{limit}, {found.typical:.2g} times u, {REFUSED:g} times at most is taken into u: the "
-            "tables are of another instrument or mounting, the encoder was zeroed elsewhere, or a "
-            "load opposes all motion alike; learn again with ilc-learn --implementation D"
-        )
-    if found.over_u <= DOUBTED:
-        return _widened(read, spread, share), grows
-    return _widened(read, math.hypot(found.widening, spread), share), [
-        *grows,
-        f"friction of {size:.3g} mN m opposes motion in both directions and {limit}: "
-        f"u is wider by {found.widening * 1e3:.3g} mN m; the encoder was zeroed elsewhere, or the "
-        "instrument has changed: learn again",
+def _other_tip(tables: Run, recipe: Recipe) -> list[str]:
+    """Return a note where force is not that at the place where the known loads hung."""
+    assert tables.recipe is not None  # `require_rig`
+    there, here = tables.recipe.rig.load_arm, recipe.rig.load_arm
+    if there == here:
+        return []
+    return [
+        f"force is that at {here * 1e3:.4g} mm from the axis; the loads of {tables.path} hung at "
+        f"{there * 1e3:.4g} mm: if that was wrong, all torques are off by its ratio; learn again"
     ]
-
-
-def _widened(read: Sequence[Recorded], by: float, share: float) -> list[Recorded]:
-    return [replace(r, parts=tuple(p.widened(by, share) for p in r.parts)) for r in read]
 
 
 def _require_values(read: Sequence[Recorded], recorded: Sequence[Recording], reach: Reach) -> None:
@@ -276,7 +215,7 @@ def model_and_reach(tables: Run, kt: Run, recipe: Recipe) -> tuple[ForceModel, R
     together."""
     require_calibration(kt, recipe)
     tables.require_command("ilc-learn")
-    model = model_from(tables, recipe)
+    model = with_zero_of(model_from(tables, recipe), kt)
     require_rig(tables, recipe)
     return model, reach_of(tables, kt)
 
@@ -298,20 +237,3 @@ def reach_of(tables: Run, kt: Run) -> Reach:
         (-math.inf, math.inf) if calibrated is None else (min(calibrated), max(calibrated)),
         CREEP_SPEED_RATIO * 2 * math.pi * rig.angle_ratio * min(own.loads.speeds_rev_per_s),
     )
-
-
-def require_calibration(kt: Run, recipe: Recipe) -> None:
-    """Raise `RunFileError` unless a calibration may be that of the recipe's rig."""
-    kt.require_command("calibrate-kt")
-    constant, stated = torque_per_ampere_at(kt, 20.0).value, recipe.rig.torque_constant
-    if not 1 / OTHER_MOTOR < constant / stated < OTHER_MOTOR:
-        raise RunFileError(
-            f"{kt.path}: states {constant:.4g} N m/A, the recipe's rig.torque_constant is "
-            f"{stated:g} N m/A, and {OTHER_MOTOR:g} times more or less is another motor: give the "
-            "calibration of this one, or correct the recipe"
-        )
-    if kt.rig not in (None, recipe.rig.name):
-        raise RunFileError(
-            f"{kt.path}: is the calibration of rig {kt.rig}, the recipe is that of "
-            f"{recipe.rig.name}: calibrate this one"
-        )

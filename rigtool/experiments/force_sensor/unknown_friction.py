@@ -49,6 +49,9 @@ FEWEST_REVERSALS, DOUBTED_SHARE, LARGEST_SHARE = 4, 0.02, 0.3
 """Reversals under a load below which none is compared; part of the load from which on u is widened;
 and the largest that is friction's: beyond it a contact begins or ends."""
 
+LASTING_CELLS, MOSTLY = 0.9, 0.5
+"""Part of the cells in which a torque that lasts has one sign; part of the passes that is most."""
+
 NEXT_TIME, REVERSAL_TIME, LOAD_OVER_U = 0.06, 0.4, 10.0
 """Time before and after a reversal that is compared, s; the longest reversal, s; and the least load
 in u: errors of both sides are far below it."""
@@ -123,6 +126,48 @@ def unknown_friction(parts: Sequence[Passes], hand: float | None = None) -> Unkn
 
     Torque that drives a pass with more than `hand` N m is a hand that moves the rig, not friction.
     """
+    cells = _untouched_cells(parts, hand)
+    if len(cells) < FEWEST_CELLS:
+        return None
+    up, down, size = cells.T
+    least = np.sign(up) * np.minimum(np.abs(up), np.abs(down))
+    # friction of an instrument changes along many cells, a load may touch at one
+    next_to = np.pad(np.where(up * down < 0, least, 0.0), 1, mode="edge")
+    opposing = np.median([next_to[:-2], next_to[1:-1], next_to[2:]], axis=0)
+    whole, usual = float(np.sqrt(np.mean(opposing**2))), float(np.median(size))
+    wide = float(np.sqrt(np.mean(np.minimum(np.abs([up, down]), 2 * whole) ** 2)))
+    typical = float(np.median(np.abs(opposing) / size))
+    return UnknownFriction(whole, wide, whole / usual, typical)
+
+
+def lasting_torque(parts: Sequence[Passes], hand: float | None = None) -> float:
+    """Return the torque N m that acts in both directions with one sign at `LASTING_CELLS` of the
+    angles, alike and by more than u at most; 0 where none does. `hand` as in `unknown_friction`."""
+    cells = _untouched_cells(parts, hand)
+    if len(cells) < FEWEST_CELLS:
+        return 0.0
+    up, down, size = cells.T
+    lasting = float(np.median((up + down) / 2))
+    least = np.minimum(up * np.sign(lasting), down * np.sign(lasting))
+    if np.mean(least > 0) < LASTING_CELLS:
+        return 0.0
+    return lasting if np.median(least) > max(np.median(size), ALIKE * abs(lasting)) else 0.0
+
+
+def driven_part(parts: Sequence[Passes], hand: float) -> float:
+    """Return the part of the passes by cells that more than `hand` N m drives, the lesser of both
+    directions; 0 where it is less than half."""
+    driven = []
+    for sign in (1.0, -1.0):
+        torque = np.concatenate([sign * p.torque[p.direction == sign].ravel() for p in parts])
+        known = torque[np.isfinite(torque)]
+        driven.append(float(np.mean(known < -hand)) if len(known) else 0.0)
+    return min(driven) if min(driven) >= MOSTLY else 0.0
+
+
+def _untouched_cells(parts: Sequence[Passes], hand: float | None) -> Array:
+    """Return torques N m of either direction that nothing touches, and u, in the cells (c, 3) whose
+    passes show them."""
     direction = np.concatenate([part.direction for part in parts])
     torque, u = (np.vstack([getattr(part, name) for part in parts]) for name in ("torque", "u"))
     if hand is not None:
@@ -134,18 +179,9 @@ def unknown_friction(parts: Sequence[Passes], hand: float | None = None) -> Unkn
         if min(map(len, sides)) >= FEWEST_PASSES:
             size = float(np.median(doubt[known]))
             found.append((*(_untouched(side, size) for side in sides), size))
-    found = [row for row in found if np.isfinite(row).all()]
-    if len(found) < FEWEST_CELLS:
-        return None
-    up, down, size = np.array(found).T
-    least = np.sign(up) * np.minimum(np.abs(up), np.abs(down))
-    # friction of an instrument changes along many cells, a load may touch at one
-    next_to = np.pad(np.where(up * down < 0, least, 0.0), 1, mode="edge")
-    opposing = np.median([next_to[:-2], next_to[1:-1], next_to[2:]], axis=0)
-    whole, usual = float(np.sqrt(np.mean(opposing**2))), float(np.median(size))
-    wide = float(np.sqrt(np.mean(np.minimum(np.abs([up, down]), 2 * whole) ** 2)))
-    typical = float(np.median(np.abs(opposing) / size))
-    return UnknownFriction(whole, wide, whole / usual, typical)
+    cells = np.array(found).reshape(-1, 3)
+    finite: Array = cells[np.isfinite(cells).all(axis=1)]
+    return finite
 
 
 def _shares(

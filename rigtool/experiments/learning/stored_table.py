@@ -223,7 +223,8 @@ def require_same_rig(tables: Run, recipe: Recipe) -> None:
 def require_rig(tables: Run, recipe: Recipe) -> None:
     """Raise `RunFileError` unless the tables were learned on the recipe's rig, as it is now.
 
-    Compared are the rig's name, attachment, encoder, ratio and torque factor.
+    Compared are the rig's name, attachment, encoder, ratio, torque factor and inertia: models and
+    tables are in terms of them.
     """
     tables.require_command("ilc-learn")
     learned = tables.recipe
@@ -237,6 +238,7 @@ def require_rig(tables: Run, recipe: Recipe) -> None:
         ("encoder", learned.rig.encoder_counts, recipe.rig.encoder_counts),
         ("motor angle per output angle", learned.rig.angle_ratio, recipe.rig.angle_ratio),
         ("torque factor", learned.rig.torque_factor, recipe.rig.torque_factor),
+        ("nominal inertia, kg m2,", learned.rig.nominal_inertia, recipe.rig.nominal_inertia),
     ):
         if there != here:
             raise RunFileError(

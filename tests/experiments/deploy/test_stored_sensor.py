@@ -27,7 +27,8 @@ from rigtool.experiments.force_model.stored import (
 from rigtool.experiments.force_model.stored import (
     SCALES as SCALES_TABLE,
 )
-from rigtool.experiments.force_sensor import procedure_over_time
+from rigtool.experiments.force_sensor import procedure_calibration
+from rigtool.experiments.force_sensor.procedure_calibration import with_zero_of
 from rigtool.experiments.force_sensor.procedure_over_time import reach_of
 from rigtool.experiments.force_sensor.procedure_reading import instrument_of
 from rigtool.recipe import load_recipe
@@ -114,7 +115,7 @@ def test_the_sensor_of_a_run_reads_what_python_reads(tables, kt, tmp_path):
         assert part in text.partition("*/")[0]
     time = np.arange(round(1.5 / INTERVAL)) * INTERVAL
     samples = moved(0.4 - 0.3 * np.cos(4 * time), np.where(time > 0.8, 0.02, 0.0))
-    recipe, model = tables.recipe, model_from(tables, tables.recipe)
+    recipe, model = tables.recipe, with_zero_of(model_from(tables, tables.recipe), kt)
     np.testing.assert_array_equal(model.scales, [SCALES[::-1], SCALES])
     np.testing.assert_array_equal(model.limits, LIMITS)
     assert model.learned.shape == SHAPE
@@ -200,10 +201,10 @@ def test_what_does_not_go_together_is_refused(tables, tmp_path, options, message
 
 def test_a_calibration_of_another_motor_is_refused(tables, kt, tmp_path, monkeypatch):
     """45.8 mN m/A, where the data sheet has 45."""
-    monkeypatch.setattr(procedure_over_time, "OTHER_MOTOR", 1.01)
+    monkeypatch.setattr(procedure_calibration, "OTHER_MOTOR", 1.01)
     with pytest.raises(RunFileError, match=r"is another motor: give the calibration of this one"):
         export(tables, tmp_path / "sensor.h", kt)
-    monkeypatch.setattr(procedure_over_time, "OTHER_MOTOR", 1.03)
+    monkeypatch.setattr(procedure_calibration, "OTHER_MOTOR", 1.03)
     export(tables, tmp_path / "sensor.h", kt)
 
 

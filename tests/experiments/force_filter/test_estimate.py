@@ -249,3 +249,22 @@ def test_what_acted_before_the_first_sample_is_not_known():
     found = Filter(PLANT, UNCERTAINTY, STEP, 30.0).add(rest)
     assert found.deviation[0] == pytest.approx(UNCERTAINTY.torque_start, rel=0.7)
     assert found.deviation[0] >= 0.99 * found.deviation[-1]
+
+
+def test_a_long_rest_says_nothing_of_the_stroke_before_it():
+    """Errors of the equations, alike in each swing about an edge, pass for a stroke's deviation."""
+    moved, *_ = simulated(1.5)
+    rate = 1 / PLANT.sample_time
+    time = np.arange(round(5 * rate)) / rate
+    swing = np.sin(2 * np.pi * 150 * time)
+    errors = 1.5e-3 * swing + 0.6e-3 * np.abs(swing) * np.sign(moved.drive_torque[-1])
+    drive = np.concatenate([moved.drive_torque, 0.3 * moved.drive_torque[-1] + errors])
+    low = np.concatenate([moved.low, moved.low[-1] + WIDTH * (np.sin(2 * np.pi * 150 * time) > 0)])
+    before = slice(900, 1400)
+    found = []
+    for seconds in (3.0, 6.5):
+        part = slice(0, round(seconds * rate))
+        signals = Signals(drive[part], np.full(low[part].size, 5e-5), low[part], WIDTH)
+        torque, _ = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
+        found.append(torque[before])
+    assert np.abs(found[1] - found[0]).max() < 0.1e-3

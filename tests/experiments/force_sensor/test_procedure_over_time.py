@@ -4,6 +4,7 @@ import math
 import re
 import subprocess
 import sys
+from contextlib import ExitStack
 from itertools import pairwise
 
 import numpy as np
@@ -14,7 +15,11 @@ from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
 from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.force_sensor import procedure_reading
 from rigtool.experiments.force_sensor.procedure_live import LiveForce
-from rigtool.experiments.force_sensor.procedure_over_time import model_and_reach, over_time
+from rigtool.experiments.force_sensor.procedure_over_time import (
+    analyse_over_time,
+    model_and_reach,
+    over_time,
+)
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.recipe import load_recipe
 from rigtool.runfile import RecordingSpec, RunWriter, open_run
@@ -160,18 +165,45 @@ def test_a_motor_warmer_than_calibrated_is_refused_with_the_remedy(rig):
 
 
 def test_the_model_rests_on_the_recipe_that_it_was_learned_with(rig):
-    """A longer tip, or another nominal inertia, changes nothing of what was learned."""
-    changed = ["rig.inertia.rotor=3e-5", "rig.instrument.grasper_length=0.03"]
+    """A longer tip changes nothing of what was learned; what it is in terms of must be the same."""
     with open_run(KT) as kt, open_run(rig.tables) as tables:
         (model, reach), (other, same) = (
             model_and_reach(tables, kt, load_recipe(RECIPE, [*RIG, *sets])[0])
-            for sets in ([], changed)
+            for sets in ([], ["rig.instrument.grasper_length=0.03"])
         )
         assert reach == same
         assert model.plant(1.0).inertia == other.plant(1.0).inertia
-        factor = load_recipe(RECIPE, [*RIG, "rig.instrument.torque_factor=1.0"])[0]
-        with pytest.raises(RunFileError, match=r"learned with torque factor 1\.18"):
-            model_and_reach(tables, kt, factor)
+        for setting, message in (
+            ("rig.instrument.torque_factor=1.0", r"learned with torque factor 1\.18"),
+            ("rig.inertia.rotor=3e-5", r"learned with nominal inertia, kg m2, 1\.8.*has 3\.7"),
+        ):
+            recipe = load_recipe(RECIPE, [*RIG, setting])[0]
+            with pytest.raises(RunFileError, match=message):
+                model_and_reach(tables, kt, recipe)
+
+
+def test_a_force_at_a_longer_tip_is_said_to_be_there(rig, strokes):
+    longer = load_recipe(RECIPE, [*RIG, "rig.instrument.grasper_length=0.03"])[0]
+    paths = rig.folder / "strokes.h5", rig.tables, KT
+    with ExitStack() as stack:
+        own, tables, kt = (stack.enter_context(open_run(path)) for path in paths)
+        found = analyse_over_time([own], longer, kt=kt, tables=tables)
+    assert any("that at 30 mm" in note and "hung at 20 mm" in note for note in found.notes)
+    assert not any("from the axis" in note for note in strokes.notes)
+    force, torque = (found.tables["force"].columns[n].values for n in ("force", "torque"))
+    np.testing.assert_allclose(force * 0.03, torque)
+
+
+def test_a_zero_of_the_current_that_moved_is_said_to_look_like_a_load(rig, strokes, tmp_path):
+    """0.1 A of 45 mN m/A and 1.18 are 5.3 mN m."""
+    source, _ = changed(
+        rig, tmp_path, lambda own: {**own, "current_setpoint": own["current_setpoint"] - 0.1}
+    )
+    found = run(MEASURE_FORCE, source, tmp_path / "moved.h5", kt=KT, tables=rig.tables)
+    (said,) = [note for note in found.notes if "zero has moved" in note]
+    milliamperes = float(re.search(r"moved by (-?[\d.]+) mA", said).group(1))
+    assert milliamperes == pytest.approx(100, abs=15)
+    assert not any("zero has moved" in note for note in strokes.notes)
 
 
 def test_a_hold_stands_still_and_says_so(rig):

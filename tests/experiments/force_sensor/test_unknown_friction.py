@@ -10,6 +10,8 @@ from rigtool.experiments.force_sensor.unknown_friction import (
     DOUBTED,
     REFUSED,
     Passes,
+    driven_part,
+    lasting_torque,
     unknown_friction,
     unknown_share,
 )
@@ -126,3 +128,28 @@ def test_loads_that_come_and_go_at_reversals_and_few_of_them_show_none():
     assert unknown_share([reversals(0.1, np.full(4, 30e-3), turns=4)]) == 0.0
     assert unknown_share([reversals(0.0, np.array([40e-3, 0.0] * 3))]) == 0.0
     assert unknown_share([reversals(0.1, np.full(6, 1e-3))]) == 0.0
+
+
+@given(seed=st.integers(0, 2**31), size=st.floats(1.5e-3, 20e-3), sign=st.sampled_from([-1, 1]))
+def test_a_torque_that_lasts_is_found(seed, size, sign):
+    rng = np.random.default_rng(seed)
+    passes = strokes(rng, 0.3e-3, load=lambda direction, cell: sign * size)
+    assert lasting_torque([passes]) == pytest.approx(sign * size, abs=0.4e-3)
+
+
+@pytest.mark.parametrize("load", ["grasping while closing", "touching both ways at one place"])
+@given(seed=st.integers(0, 2**31), friction=st.floats(-3e-3, 5e-3))
+def test_what_does_not_act_everywhere_and_both_ways_does_not_last(load, seed, friction):
+    passes = strokes(np.random.default_rng(seed), friction, load=LOADS[load])
+    assert lasting_torque([passes]) == 0
+
+
+@pytest.mark.parametrize(("driven", "part"), [(0.0, 0.0), (0.3, 0.0), (0.75, 0.75), (1.0, 1.0)])
+def test_a_hand_drives_most_of_the_passes_or_is_not_said_to(driven, part):
+    passes = strokes(np.random.default_rng(3))
+    hand = np.arange(2 * PASSES) // 2 < driven * PASSES
+    torque = passes.torque - np.where(hand, 9e-3 * passes.direction, 0.0)[:, None]
+    own = Passes(passes.direction, torque, passes.u)
+    assert driven_part([own], 6e-3) == pytest.approx(part)
+    one_way = Passes(passes.direction, np.where(passes.direction[:, None] > 0, torque, 0), passes.u)
+    assert driven_part([one_way], 6e-3) == 0

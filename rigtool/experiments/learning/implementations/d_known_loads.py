@@ -34,8 +34,9 @@ from rigtool.experiments.load_disturbance.sliding import DisturbanceGrid, grid_o
 from rigtool.experiments.load_disturbance.stored import grid_tables
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import channels, record
+from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.numerics.arrays import Array
-from rigtool.quantity import Quantity, scattered
+from rigtool.quantity import REFERENCE_DEGC, Quantity, scattered
 from rigtool.recipe import Recipe
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import Triangle
@@ -127,8 +128,10 @@ class KnownLoads(LimitedAngle):
         learned = _learn_force(run, recipe, inputs["kt"])
         loads = _known_loads(run, recipe, learned.strokes)
         found = _loads_outcome(run, recipe, learned, loads)
+        constant = torque_per_ampere_at(inputs["kt"], REFERENCE_DEGC)
+        own = {stored.MODEL_PREFIX + stored.CONSTANT: constant}
         return Outcome(
-            {**table.results, **found.results, **stored.model_results(learned.model)},
+            {**table.results, **found.results, **stored.model_results(learned.model), **own},
             {**table.tables, **found.tables, **stored.model_tables(learned.model)},
             (*table.notes, *found.notes),
         )

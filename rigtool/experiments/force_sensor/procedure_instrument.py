@@ -1,0 +1,129 @@
+"""Whether tables are of the instrument that was recorded: u is widened, or nothing is given."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.force_model.force_model import ForceModel
+from rigtool.experiments.force_sensor.encoder_zero import EncoderZero
+from rigtool.experiments.force_sensor.procedure_calibration import changes, torque_per_current
+from rigtool.experiments.force_sensor.results_over_time import Recorded
+from rigtool.experiments.force_sensor.unknown_friction import (
+    DOUBTED,
+    FEWEST_PASSES,
+    REFUSED,
+    Passes,
+    driven_part,
+    lasting_torque,
+    unknown_friction,
+    unknown_share,
+)
+from rigtool.runfile import Run
+
+HAND_PART_OF_FRICTION = 0.5
+"""Part of the friction from which on a torque that drives an observed rig is that of a hand."""
+
+
+def friction_at_output(model: ForceModel) -> float:
+    """Return the sliding friction of bearings and housing, N m on the output."""
+    plant = model.plant(1.0)
+    return plant.torque_factor * (plant.coulomb + plant.housing_friction)
+
+
+def largest_friction(model: ForceModel, observed: bool) -> float | None:
+    """Return the torque N m with which friction may drive a pass: more is a hand, which may have
+    moved a rig that was `observed`; None where rigtool moved it."""
+    return HAND_PART_OF_FRICTION * friction_at_output(model) if observed else None
+
+
+def of_this_instrument(
+    read: Sequence[Recorded],
+    model: ForceModel,
+    tables: Run,
+    kt: Run,
+    *,
+    observed: bool,
+    zero: EncoderZero | None = None,
+) -> tuple[list[Recorded], list[str]]:
+    """Return the recordings with u widened where the tables do not hold friction or torque
+    constant, and notes.
+
+    Where a rig was `observed`, a hand may have moved it; they were read with the `zero`. Raises
+    `InsufficientDataError` where the friction is that of another instrument.
+    """
+    hand = largest_friction(model, observed)
+    forms = list(zip(*(part.passes for r in read for part in r.parts), strict=True))
+    both = [unknown_friction(form, hand) for form in forms]
+    found = max(filter(None, both), key=lambda one: one.size, default=None)
+    share, notes = unknown_share(forms[0]), []
+    if share:
+        notes.append(
+            f"through reversals under a load, torque is {100 * abs(share):.1f} % "
+            f"{'more' if share > 0 else 'less'} against the load's direction of motion and as much "
+            "the other way with it: u is wider by this share; the load opposes motion itself, or "
+            f"{tables.path} does not hold the friction under load: learn again"
+        )
+    by, other, said = changes(tables, kt, model)
+    share, notes = math.hypot(share, other), notes + said
+    if zero is not None:
+        by = math.hypot(by, zero.spread)
+        notes.append(_of_zero(zero, tables))
+    notes += _of_loads(forms, hand, model, kt)
+    if found is None:
+        notes.append(
+            f"whether {tables.path} is of this instrument was not checked: that needs the same "
+            f"angles {FEWEST_PASSES} times in both directions, with nothing touching in most"
+        )
+    elif found.typical > REFUSED:
+        raise InsufficientDataError(
+            f"every motion is opposed in both directions by {found.size * 1e3:.3g} mN m of "
+            f"friction that {tables.path} does not hold, {found.typical:.2g} times u, {REFUSED:g} "
+            "times at most is taken into u: the tables are of another instrument or mounting, the "
+            "encoder was zeroed elsewhere, or a load opposes all motion alike; learn again with "
+            "ilc-learn --implementation D"
+        )
+    elif found.over_u > DOUBTED:
+        gain = 2 * found.size / friction_at_output(model)
+        by, share = math.hypot(by, found.widening), math.hypot(share, gain)
+        notes.append(
+            f"friction of {found.size * 1e3:.3g} mN m opposes motion in both directions and "
+            f"{tables.path} does not hold: u is wider by {found.widening * 1e3:.3g} mN m, and by "
+            f"{gain:.1%} of the torque, since friction and load may both be read too large or too "
+            "small; the encoder was zeroed elsewhere, or the instrument or the torque constant has "
+            "changed: learn again"
+        )
+    return [replace(r, parts=tuple(p.widened(by, share) for p in r.parts)) for r in read], notes
+
+
+def _of_zero(zero: EncoderZero, tables: Run) -> str:
+    return (
+        f"the encoder shows {math.degrees(zero.moved):.1f}({math.degrees(zero.u):.1f}) deg of the "
+        f"motor more than when {tables.path} was learned, by friction and ripple along the angle: "
+        "torque is read with this taken off, what --stream and --live show is not; zero the "
+        "encoder where it was zeroed then"
+    )
+
+
+def _of_loads(
+    forms: Sequence[Sequence[Passes]], hand: float | None, model: ForceModel, kt: Run
+) -> list[str]:
+    """Return notes on torques that may be loads or errors of the current."""
+    notes = []
+    if lasting := max((lasting_torque(form, hand) for form in forms), key=abs):
+        moved = -lasting / torque_per_current(model, kt)
+        notes.append(
+            f"a torque of {lasting * 1e3:.3g} mN m acts all the time, at every angle and in both "
+            "directions: a load that lasts, ripple of another power-up, or the current's zero has "
+            f"moved by {moved * 1e3:.3g} mA since {kt.path}, which u does not "
+            "include: calibrate again if nothing touches"
+        )
+    if hand is not None and (part := driven_part(forms[0], hand)):
+        notes.append(
+            f"in {part:.0%} of the passes a torque drives the rotor by more than "
+            f"{HAND_PART_OF_FRICTION:.0%} of its friction: a hand moves the rig, or the current "
+            "that was recorded is too small or not all of the motor's"
+        )
+    return notes
