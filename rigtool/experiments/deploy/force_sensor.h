@@ -1291,7 +1291,9 @@ static inline int rs_read(struct rigtool_sensor *s)
     now->torque = torque;
     i = now->state <= RIGTOOL_SENSOR_WITH && s->creeps ? RS_CREEPING : (int)now->state;
     scales = rs_model.scales[i];
-    variance *= rs_square(scales[0]);
+    /* where a load has raised the noise, the deviation holds no more than is needed */
+    if ((s->step_left == 0 && s->slow_left == 0) || scales[0] > 1)
+        variance *= rs_square(scales[0]);
     if (s->idle && variance < rs_model.open_variances[s->crawls][i])
         variance = rs_model.open_variances[s->crawls][i];
     unbent *= rs_model.creep_variance * unbent;

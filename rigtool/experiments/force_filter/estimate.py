@@ -103,6 +103,12 @@ class Estimate:
         return self.outputs[:, 1]
 
     @property
+    def opened(self) -> Mask:
+        """Where the noise of the torque is raised, (m,)."""
+        opened: Mask = self.outputs[:, 2] > 0
+        return opened
+
+    @property
     def gains(self) -> Array:
         """Change of the states `kalman.FOLLOWED` for each radian of the angle, (m, 6)."""
         return self.outputs[:, kalman.FIRST_GAIN :]

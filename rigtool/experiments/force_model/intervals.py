@@ -16,7 +16,8 @@ within h, whatever their tails: friction's are heavy after reversals and at rest
 within `INDEPENDENT_TIME` counts as one error; normal errors of `EXPECTED_RATIO` s, `EXPECTED` in
 number, count besides. While the rotor slides, s follows from hundreds of strokes, so that they are
 many there, but where no stroke has shown s. Known loads hardly change, as others may: where nothing
-changes, errors are smaller than that, and show no c below `FACTORS`.
+changes, errors are smaller than that, and show no c below `FACTORS`. Where a load does change, the
+filter has raised the noise of its torque: c is 1 at least, as s holds no more than is needed then.
 """
 
 from __future__ import annotations
@@ -80,12 +81,13 @@ def uncertainty_of_kinds(
     torque: Array,
     kinds: States,
     variance: Array,
+    opened: Mask,
     least: Array | float = 0.0,
 ) -> Array:
-    """Return u (m,) N m by c and g of each kind, (kinds, 2); `variance` (m,) N2 m2 is r^2, and
-    (c s)^2 is at `least` that, (m,) N2 m2."""
+    """Return u (m,) N m by c and g of each kind, (kinds, 2); `variance` (m,) N2 m2 is r^2, `opened`
+    (m,) where the noise of the torque is raised, and (c s)^2 is at `least` that, (m,) N2 m2."""
     factor, share = scales[kinds].T
-    own = np.maximum((factor * deviation) ** 2, least)
+    own = np.maximum((np.maximum(factor, opened) * deviation) ** 2, least)
     u: Array = np.sqrt(own + (share * torque) ** 2 + variance)
     return u
 

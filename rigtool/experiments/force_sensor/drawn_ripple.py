@@ -3,11 +3,10 @@
 Ripple that grows with the current, (g + h |i|) kT i w, is in the variance alone. At another
 power-up it is off by
 
-    n^2 (kT i)^2 sum over orders of A(i)^2 |lag(w)|^2,    A(i)^2 = |g + h |i||^2 + share of the
-                                                          variance of g + h |i|,
+    n^2 (kT i)^2 sum over orders of A(i)^2 |lag(w)|^2,    A(i)^2 = |g + h |i||^2,
 
-in the mean over phases. The current i carries friction and inertia besides M, and load friction
-looks like the low orders of g.
+in the mean over phases. The current i carries friction and inertia besides M. Load friction looks
+like the low orders of g: the square of what was learned holds the square of its errors already.
 """
 
 from __future__ import annotations
@@ -20,8 +19,8 @@ from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.numerics.arrays import Array
 
 UNCERTAIN_SHARE = 0.3
-"""Part of the variance of the learned waves that counts: that of the high orders is their prior's,
-which is several times what amplifiers have."""
+"""Part of the variance of the ripple's learned waves that counts, as the low orders are learned too
+small: that of the high orders is their prior's, which is several times what amplifiers have."""
 
 
 def learned_ripple(model: ForceModel) -> tuple[Array, Array, Array]:
@@ -39,12 +38,13 @@ def learned_ripple(model: ForceModel) -> tuple[Array, Array, Array]:
         return sums
 
     def squares(one: Array, other: Array) -> Array:
-        doubt = np.sum(one @ covariance * other, axis=1)
         found = (one @ learned.coefficient) * (other @ learned.coefficient)
-        total: Array = (found + UNCERTAIN_SHARE * doubt).reshape(-1, 2).sum(axis=1)
+        total: Array = found.reshape(-1, 2).sum(axis=1)
         return total
 
     still = waves((Kind.RIPPLE, Kind.COGGING), RIPPLE_ORDERS)
     gain, bent = (waves((k,), GAIN_ORDERS) for k in (Kind.GAIN_RIPPLE, Kind.SQUARE_RIPPLE))
     growing = np.column_stack([squares(gain, gain), 2 * squares(gain, bent), squares(bent, bent)])
-    return still @ learned.coefficient, np.repeat(squares(still, still) / 2, 2), growing
+    doubt = np.sum(still @ covariance * still, axis=1).reshape(-1, 2).sum(axis=1)
+    drawn = (squares(still, still) + UNCERTAIN_SHARE * doubt) / 2
+    return still @ learned.coefficient, np.repeat(drawn, 2), growing

@@ -198,7 +198,8 @@ class Sensor:
         unbent = self._creeping.add(estimate.low, moments.housing, states == State.STILL)
         least = self._instrument.least_variances(idling, kinds, unbent)
         scales = self._instrument.model.scales[1]
-        u = uncertainty_of_kinds(scales, estimate.deviation, torque, kinds, variance, least)
+        deviation, opened = estimate.deviation, estimate.opened
+        u = uncertainty_of_kinds(scales, deviation, torque, kinds, variance, opened, least)
         doubt = np.sqrt(variance)
         own = estimate, torque, u, moments, states, kinds, found[3:], signals, less, doubt
         return Sensed(*own, by_current, unbent)

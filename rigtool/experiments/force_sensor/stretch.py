@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.estimate import (
+    ONSET_TIME,
     PIECE_STEPS,
     Filter,
     Smoother,
@@ -64,6 +65,7 @@ ESTIMATED_TYPES = {
     "doubt": np.float32,
     "by_current": np.float32,
     "unbent": np.float32,
+    "opened": np.bool_,
 }
 """At each step, but for the causal torque, its u and state and the angle that was passed, which are
 kept at the table's rows. What is in single precision is known to 1e-7 of itself, the angle, of
@@ -138,6 +140,7 @@ class Stretch:
         self._keep("causal_u", sensed.u[rows])
         self._keep("by_current", sensed.by_current[rows])
         self._keep("unbent", sensed.unbent[rows])
+        self._keep("opened", estimate.opened)
         self._keep("causal_states", sensed.states[rows])
         for reference in sensed.others:
             self._keep("reference", reference)
@@ -302,8 +305,9 @@ class Stretch:
         apart = torque[::every] - self._found["causal"][: self._filled["causal"]]
         least = np.maximum(least, np.where(kinds == State.STILL, apart**2 / 3, 0.0))
         deviation = deviation[::every].astype(float)
-        scales = instrument.model.scales[0]
-        u = uncertainty_of_kinds(scales, deviation, torque[::every], kinds, variance, least)
+        opened = highest(self._taken("opened"), 0, round(ONSET_TIME / step_time))[::every]
+        own = deviation, torque[::every], kinds, variance, opened, least
+        u = uncertainty_of_kinds(instrument.model.scales[0], *own)
         return torque, u, np.concatenate(added)
 
 

@@ -11,7 +11,7 @@ from rigtool.experiments.force_model.intervals import Errors, scales, uncertaint
 MINUTES = 30_000
 """Compared steps of ten minutes."""
 
-NO_RIPPLE = np.zeros(1)
+NO_RIPPLE, QUIET = np.zeros(1), np.zeros(1, dtype=bool)
 
 
 def drawn(factor, share, kind, count=MINUTES, seed=3, tails=False):
@@ -41,7 +41,7 @@ def test_factor_and_share_are_those_of_the_errors(factor, share, kind):
     found = every[:, kind]
     np.testing.assert_allclose(found[:, 0], factor, rtol=0.05)
     np.testing.assert_allclose(found[:, 1], share, atol=8e-3)
-    u = uncertainty_of_kinds(every[1], own.deviation[1], own.torque, own.kinds, NO_RIPPLE)
+    u = uncertainty_of_kinds(every[1], own.deviation[1], own.torque, own.kinds, NO_RIPPLE, QUIET)
     assert 0.945 < np.mean(np.abs(own.error[1]) < 1.96 * u) < 0.955
 
 
@@ -68,7 +68,9 @@ def test_kinds_have_their_own_errors_and_sliding_has_one_for_both_directions():
 def test_heavy_tails_do_not_widen_the_intervals():
     own = drawn(1.5, 0.0, State.REVERSED, tails=True)
     np.testing.assert_allclose(scales([own])[:, State.REVERSED, 0], 1.5, rtol=0.05)
-    u = uncertainty_of_kinds(scales([own])[0], own.deviation[0], own.torque, own.kinds, NO_RIPPLE)
+    u = uncertainty_of_kinds(
+        scales([own])[0], own.deviation[0], own.torque, own.kinds, NO_RIPPLE, QUIET
+    )
     assert 0.945 < np.mean(np.abs(own.error[0]) < 1.96 * u) < 0.955
 
 
@@ -78,7 +80,7 @@ def test_ripple_of_another_power_up_widens_u_as_it_is():
     factors[State.STILL] = 0.4, 0.1
     kinds = np.array([State.STILL, State.AGAINST])
     u = uncertainty_of_kinds(
-        factors, np.array([1e-3, 1e-3]), np.full(2, 5e-3), kinds, np.full(2, 0.36e-6)
+        factors, np.array([1e-3, 1e-3]), np.full(2, 5e-3), kinds, np.full(2, 0.36e-6), QUIET
     )
     np.testing.assert_allclose(u, np.sqrt([0.16e-6 + 0.25e-6 + 0.36e-6, 1.36e-6]), rtol=1e-12)
 
@@ -87,9 +89,17 @@ def test_what_friction_leaves_open_is_not_in_the_deviation_twice():
     factors = np.ones((KIND_COUNT, 2)) * (0.5, 0.1)
     kinds, least = np.array([State.REVERSED, State.REVERSED]), np.array([0.01e-6, 9e-6])
     u = uncertainty_of_kinds(
-        factors, np.array([1e-3, 1e-3]), np.full(2, 5e-3), kinds, np.full(2, 0.36e-6), least
+        factors, np.array([1e-3, 1e-3]), np.full(2, 5e-3), kinds, np.full(2, 0.36e-6), QUIET, least
     )
     np.testing.assert_allclose(u, np.sqrt([0.86e-6, 9.61e-6]), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("factor", "held"), [(0.8, 1.0), (1.3, 1.3)])
+def test_where_a_load_has_raised_the_noise_the_deviation_counts_whole(factor, held):
+    factors, kinds = np.ones((KIND_COUNT, 2)) * (factor, 0.0), np.full(2, State.REVERSED)
+    known = np.full(2, 1e-3), np.zeros(2), kinds, NO_RIPPLE
+    u = uncertainty_of_kinds(factors, *known, np.array([False, True]))
+    np.testing.assert_allclose(u, [factor * 1e-3, held * 1e-3], rtol=1e-12)
 
 
 def test_few_strokes_hardly_change_what_slides():

@@ -236,7 +236,7 @@ def test_ripple_that_grows_with_the_current_of_friction_and_load_is_in_the_varia
         keys = {(order + 1, q): off[order, q] for order in range(3) for q in range(2)}
         squares.append((CONSTANT * current * ripple(keys, angle))[20000:] ** 2)
     assert by_current[20000:].mean() == pytest.approx(np.mean(squares), rel=0.05)
-    assert np.all(in_doubt[1:] > by_current[1:])
+    np.testing.assert_array_equal(in_doubt, by_current)  # squares hold those of the errors already
 
 
 @pytest.mark.parametrize("stiffness", [10e-3, 30e-3])
