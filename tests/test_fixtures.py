@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from rigtool.runfile import open_run
-from tests.cli.test_run_commands import call
+from tests.cli.called import call
 
 FIXTURES = Path(__file__).parent / "fixtures"
 REFERENCES = json.loads((FIXTURES / "references.json").read_text())

@@ -15,7 +15,7 @@ import pytest
 
 import rigtool.cli as cli
 from rigtool.runfile import open_run
-from tests.cli.test_run_commands import call
+from tests.cli.called import call
 
 ROOT = Path(__file__).parents[2]
 FIXTURES = ROOT / "tests" / "fixtures"

@@ -1,7 +1,6 @@
 """Every example in a command's help does what it says, in a folder that has what it names."""
 
 import shutil
-import signal
 from contextlib import contextmanager
 from glob import glob
 from pathlib import Path
@@ -14,6 +13,7 @@ import rigtool.cli as cli
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.moteus.table import MoteusTable
 from tests.attack.bench import MEASURING
+from tests.cli.called import exit_code
 from tests.cli.test_run_commands import interrupted
 from tests.experiments.deploy.test_stored_sensor import learned_run
 from tests.experiments.imported_runs import SLOW, slow_turn, take
@@ -189,12 +189,6 @@ def run_example(bench, line, capsys):
         output = bench / arguments[arguments.index("-o") + 1]
         if output.is_file():
             output.unlink()
-    before = signal.getsignal(signal.SIGTERM)
-    try:
-        with pytest.raises(SystemExit) as caught:
-            cli.main([name, *arguments])
-    finally:
-        signal.signal(signal.SIGTERM, before)
-    assert caught.value.code == 0, capsys.readouterr().err
+    assert exit_code(name, *arguments) == 0, capsys.readouterr().err
     if "-o" in arguments:
         assert (bench / arguments[arguments.index("-o") + 1]).exists()

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.cli.test_run_commands import call
+from tests.cli.called import call
 from tests.experiments.virtual_runs import RECIPE, write_kt
 
 FIXTURES = RECIPE.parents[1] / "tests" / "fixtures"

@@ -8,7 +8,7 @@ import pytest
 
 from rigtool.runfile import importers, open_run
 from rigtool.runfile.importers.plan import Plan
-from tests.cli.test_run_commands import call
+from tests.cli.called import call
 from tests.runfile.importers.mappings import TEXT, lines
 
 ROOT = Path(__file__).parents[2]

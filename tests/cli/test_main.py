@@ -31,6 +31,7 @@ from rigtool.errors import (
     RunFileError,
     UsageError,
 )
+from tests.cli.called import exit_code
 
 ROOT = Path(__file__).parents[2]
 
@@ -53,14 +54,7 @@ def call(monkeypatch, error: BaseException | None, *arguments: str) -> int:
 
     monkeypatch.setattr(cli, "COMMANDS", {"fail": "Fail."})
     monkeypatch.setattr(cli.LazyGroup, "get_command", lambda *_: command)
-    before = signal.getsignal(signal.SIGTERM)
-    try:
-        with pytest.raises(SystemExit) as caught:
-            cli.main(["fail", *arguments])
-    finally:
-        signal.signal(signal.SIGTERM, before)
-    assert isinstance(caught.value.code, int)
-    return caught.value.code
+    return exit_code("fail", *arguments)
 
 
 @pytest.mark.parametrize(

@@ -1,26 +1,12 @@
 """recover, verify, diff and export, as a user types them."""
 
 import os
-import signal
 
 import pytest
 
-import rigtool.cli as cli
 from rigtool.runfile import RunWriter
+from tests.cli.called import call
 from tests.runfile.whole_run import SPECS, samples, write
-
-
-def call(capsys, *arguments: object) -> tuple[int, str, str]:
-    before = signal.getsignal(signal.SIGTERM)
-    try:
-        with pytest.raises(SystemExit) as caught:
-            cli.main([str(argument) for argument in arguments])
-    finally:
-        signal.signal(signal.SIGTERM, before)
-    found = capsys.readouterr()
-    assert "Traceback" not in found.err
-    assert isinstance(caught.value.code, int)
-    return caught.value.code, found.out, found.err
 
 
 def interrupted(path):

@@ -15,7 +15,7 @@ from rigtool.recipe import load_recipe
 from rigtool.rigs.serial.emulators.target import TargetEmulator
 from rigtool.rigs.serial.target.link import TargetState
 from rigtool.runfile import open_run
-from tests.cli.test_run_commands import call
+from tests.cli.called import call
 from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.recipes import RECIPE, overrides
 from tests.rigs.serial.target.test_driver_faults import wait_until

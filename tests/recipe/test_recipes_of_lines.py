@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from rigtool.recipe import load_recipe
-from tests.cli.test_run_commands import call
+from tests.cli.called import call
 
 RECIPES = Path(__file__).parents[2] / "recipes"
 

@@ -1,24 +1,10 @@
 """`rigtool report` as a user types it."""
 
 import json
-import signal
 
 import pytest
 
-import rigtool.cli as cli
-
-
-def call(capsys, *arguments: object) -> tuple[int, str, str]:
-    before = signal.getsignal(signal.SIGTERM)
-    try:
-        with pytest.raises(SystemExit) as caught:
-            cli.main([str(argument) for argument in arguments])
-    finally:
-        signal.signal(signal.SIGTERM, before)
-    found = capsys.readouterr()
-    assert "Traceback" not in found.err
-    assert isinstance(caught.value.code, int)
-    return caught.value.code, found.out, found.err
+from tests.cli.called import call
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import h5py
 import pytest
 
 from rigtool.runfile import open_run
-from tests.cli.test_run_commands import call
+from tests.cli.called import call
 
 FIXTURES = Path(__file__).parents[1] / "fixtures"
 RECIPES = Path(__file__).parents[2] / "recipes"

@@ -22,7 +22,10 @@ def analyse_stored(
     options: CommonOptions,
     inputs: Mapping[str, Run],
 ) -> Outcome:
-    """Analyse stored runs again, write the output and return its outcome."""
+    """Analyse stored runs again, write the output and return its outcome.
+
+    Raises `RunFileError` for a run without a recipe.
+    """
     require_nothing_to_measure(options)
     with ExitStack() as stack:
         runs = [stack.enter_context(open_run(source)) for source in sources]

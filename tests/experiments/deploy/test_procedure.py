@@ -22,7 +22,7 @@ from rigtool.rigs.serial.moteus.frames import text_to_drive
 from rigtool.rigs.serial.moteus.link import Link
 from rigtool.rigs.serial.moteus.table import MoteusTable
 from rigtool.runfile import open_run
-from tests.cli.test_run_commands import call
+from tests.cli.called import call
 from tests.rigs.serial.emulators import moteus
 from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.emulators.moteus import TABLE, MoteusEmulator

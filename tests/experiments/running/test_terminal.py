@@ -25,7 +25,7 @@ from rigtool.experiments.running.terminal import (
 from rigtool.recipe import load_recipe
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.emulators.target import TargetEmulator
-from tests.cli.test_run_commands import call
+from tests.cli.called import call
 from tests.rigs.serial.recipes import overrides
 
 ROOT = Path(__file__).parents[3]

@@ -19,7 +19,7 @@ from rigtool.errors import UsageError
 from rigtool.experiments.running import terminal as live
 from rigtool.experiments.running.terminal import MAX_WAITING_BLOCKS, Feed, Window, open_live
 from rigtool.experiments.running.window import LINE_POINTS, TIME_SPAN, Panel, thinned
-from tests.cli.test_run_commands import call
+from tests.cli.called import call
 from tests.experiments.running.test_terminal import fft_ripple
 
 ROOT = Path(__file__).parents[3]

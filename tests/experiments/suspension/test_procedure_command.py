@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.test_run_commands import call
+from tests.cli.called import call
 
 RECIPE = Path(__file__).parents[3] / "recipes" / "briaire-2006.toml"
 

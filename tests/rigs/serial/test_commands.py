@@ -15,7 +15,7 @@ from rigtool.experiments.ripple import procedure as fft_ripple
 from rigtool.recipe import load_recipe
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.runfile import open_run
-from tests.cli.test_run_commands import call
+from tests.cli.called import call
 from tests.rigs.serial.bench import RADIUS, BenchMotor, Person
 from tests.rigs.serial.emulators.can_drives import MoteusCanEmulator, ODriveCanEmulator
 from tests.rigs.serial.emulators.canopen import CiA402Emulator, Epos4CanEmulator

@@ -21,7 +21,7 @@ from rigtool.rigs.serial.maxon import guard as maxon_guard
 from rigtool.rigs.serial.moteus import driver as moteus
 from rigtool.rigs.serial.odrive import driver as odrive
 from rigtool.runfile import open_run
-from tests.cli.test_run_commands import call
+from tests.cli.called import call
 from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.emulators.maxon import DesEmulator, Epos2Emulator, Epos4Emulator
 from tests.rigs.serial.emulators.moteus import MoteusEmulator

@@ -19,7 +19,10 @@ class Refused(Exception):
 
 
 class Uploads:
-    """The objects by slot; those that grow are `kept` once they are whole and checked."""
+    """The objects by slot; each is kept once it is whole and checked.
+
+    `Refused` is raised for what does not fit.
+    """
 
     def __init__(self, most_bytes: int) -> None:
         self._most_bytes = most_bytes

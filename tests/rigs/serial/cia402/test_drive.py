@@ -17,7 +17,7 @@ from rigtool.rigs.serial.drive import SetPoint
 from rigtool.rigs.serial.drivers import driver
 from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.ports import find_devices
-from tests.cli.test_run_commands import call
+from tests.cli.called import call
 from tests.rigs.performed import perform
 from tests.rigs.serial.emulators.canopen import (
     I16,

@@ -23,7 +23,7 @@ from rigtool.rigs.serial.line import Line, LineLost
 from rigtool.rigs.serial.moteus import driver as moteus
 from rigtool.rigs.serial.moteus import frames
 from rigtool.rigs.serial.ports import find_devices
-from tests.cli.test_run_commands import call
+from tests.cli.called import call
 from tests.rigs.performed import perform
 from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.emulators.moteus import MoteusEmulator

@@ -30,7 +30,7 @@ from rigtool.rigs.serial.odrive.text import (
     xor_checksum,
 )
 from rigtool.rigs.serial.ports import find_devices
-from tests.cli.test_run_commands import call
+from tests.cli.called import call
 from tests.rigs.performed import perform
 from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.emulators.odrive import CLOSED_LOOP, IDLE, ODriveEmulator
