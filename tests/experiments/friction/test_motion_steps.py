@@ -237,6 +237,20 @@ def test_a_fit_states_what_it_leaves_and_explains():
     assert_allclose(found.torque(parts[0]), parts[0].design[:, :4] @ solution)
 
 
+def test_noise_of_the_acceleration_draws_the_inertia_towards_zero():
+    """By its part of what the others leave of the acceleration: that much counts as uncertainty."""
+    quiet, noisy = (replace(motion(), noise=(0.0, size)) for size in (0.0, 20.0))
+    before, after = found_of([quiet]), found_of([noisy])
+    design = weighted([quiet])[0][:, :4]
+    others = design[:, 1:]
+    rest = design[:, 0] - others @ np.linalg.lstsq(others, design[:, 0], rcond=None)[0]
+    share = quiet.used.sum() * SPACING * 20.0**2 / np.sum(rest**2)
+    more = (share * before.parameters[0]) ** 2
+    assert after.covariance[0, 0] - before.covariance[0, 0] == pytest.approx(more, rel=1e-6)
+    assert_allclose(after.covariance[1:4, 1:4], before.covariance[1:4, 1:4])
+    assert more > before.covariance[0, 0] / 10
+
+
 def test_sums_of_parameters_have_the_variance_of_their_covariance():
     rng = np.random.default_rng(5)
     root = rng.standard_normal((6, 6))
