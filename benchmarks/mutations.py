@@ -1,6 +1,6 @@
 """Which faults in the numerics the tests of a room see: seeded mutations, one at a time.
 
-    .venv/bin/python benchmarks/mutations.py [--count 60] [--seed 1] [--within experiments/force ...]
+    .venv/bin/python benchmarks/mutations.py [--count 60] [--seed 1] [--within experiments/friction]
                                              [--only NUMBER ...] [--list]
 
 Each mutation changes one operator, comparison, index, number or function name in the body of a
