@@ -81,6 +81,14 @@ def test_a_staircase_has_a_stretch_for_each_speed_that_is_not_standstill():
     assert_allclose([b for _, b in _stretches(asked)], [400, 800, 1600, 2000], atol=1)
 
 
+@pytest.mark.parametrize(("part", "held"), [(0.8e-3, 4), (1.5e-3, 0)])
+def test_set_points_within_a_thousandth_of_the_highest_are_one_speed(part, held):
+    """Beside standstill: rounding of what a drive reports is no step."""
+    speed = steps(2.0, 5.0, 0.0, -3.0, 8.0, count=400)
+    asked = np.append(speed, 8.0) + 8.0 * part * (np.arange(2001) % 2)
+    assert len(_stretches(Moved(speed, speed_setpoint=asked))) == held
+
+
 @pytest.mark.parametrize(("ratio", "one"), [(0.55, True), (0.45, False)])
 def test_speeds_within_a_factor_of_two_are_one_with_its_scatter(ratio, one):
     """Where the last half is even: a staircase of a speed and its half is two holds."""
