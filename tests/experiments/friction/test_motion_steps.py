@@ -469,3 +469,39 @@ def test_runs_have_one_even_time_axis():
         assert_allclose(values[known], slope * (time[0] + axis)[known], atol=1e-6)
     assert 0.75 < known.mean() < 0.85  # not in the gap of half a second
     assert paired._even(replace(own, angle=None))[3] is None
+
+
+def test_runs_that_overlap_entirely_are_compared_from_end_to_end():
+    (time, position), (_, again) = signals(0.0), signals(0.0)
+    runs = [MotionSignals(time, one, 3 * one) for one in (position, again, again[:3000])]
+    runs[2] = replace(runs[2], time=time[:3000], effort=3 * again[:3000])
+    axis, found, shifts = paired._aligned(runs[0], runs[1:2])
+    assert_allclose(axis, time, atol=1e-9)
+    assert shifts == pytest.approx([0.0], abs=1e-9)
+    for values, effort, angle, known in found:
+        assert_allclose(values, position, atol=1e-9)
+        assert_allclose(effort, 3 * position, atol=1e-9)
+        assert angle is None
+        assert known.all()
+    axis = paired._aligned(runs[0], runs[1:])[0]
+    assert_allclose(axis, time[:3000], atol=1e-9)
+    (_, late) = signals(1.5)
+    axis, found, shifts = paired._aligned(runs[0], [MotionSignals(time, late, 3 * late)])
+    assert shifts == pytest.approx([1.5], abs=1e-4)
+    assert axis[0] == pytest.approx(0.0)
+    assert axis[-1] == pytest.approx(time[-1] - 1.5, abs=6e-3)
+    assert_allclose(found[1][0], found[0][0], atol=1e-3)
+
+
+def test_runs_of_which_a_tenth_is_common_are_refused():
+    (time, position) = signals(0.0)
+    for begin, refused in ((17.5, False), (18.5, True)):
+        _, late = signals(-begin)
+        own, other = MotionSignals(time, position, position), MotionSignals(time, late, late)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(paired, "_shift", lambda *given, by=-begin: by)
+            if refused:
+                with pytest.raises(InsufficientDataError, match="less than a tenth"):
+                    paired._aligned(own, [other])
+            else:
+                assert len(paired._aligned(own, [other])[0]) == pytest.approx(2.5 / 5e-3, abs=2)
