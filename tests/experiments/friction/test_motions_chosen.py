@@ -98,6 +98,14 @@ def test_speeds_within_a_factor_of_two_are_one_with_its_scatter(ratio, one):
     assert len(found) == (1 if one else 2)
 
 
+@pytest.mark.parametrize(("ratio", "one"), [(0.51, True), (0.49, False)])
+def test_the_speed_of_a_short_stretch_is_that_of_its_own_samples(ratio, one):
+    """Of 16 samples each counts: a fifteenth of their time."""
+    speed = np.append(np.full(16, 5.0 * ratio), steps(5.0, count=900))
+    found = _stretches(Moved(speed, speed_setpoint=np.append(speed, 5.0)))
+    assert (found == [(0, 917)]) == one
+
+
 @pytest.mark.parametrize(("share", "held"), [(0.42, False), (0.6, True)])
 def test_plateaus_fill_half_of_the_time(share, held):
     count = round(2000 * share / 4)
