@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.friction import procedure
+from rigtool.experiments.friction import imported, procedure
 from rigtool.experiments.friction.imported import _stretches
 from rigtool.experiments.friction.results import Findings, Scale, _add_directions
 from rigtool.experiments.friction.results_difference import (
@@ -299,3 +299,36 @@ def test_a_run_is_not_compared_with_itself():
     for given in (([one], one, None), ([one], other, other), ([one, other], other, None)):
         with pytest.raises(UsageError, match="given twice"):
             require_different(*given)
+
+
+@pytest.mark.parametrize(
+    ("moved", "compared", "refused"),
+    [(True, False, False), (False, False, True), (True, True, True)],
+)
+def test_holds_that_are_too_few_leave_the_dynamics_of_the_motion(
+    moved, compared, refused, monkeypatch
+):
+    """A comparison needs the holds."""
+    own = Moved(steps(5.0, count=400))
+    effort = SimpleNamespace(relative_u=0.01, origin="given", name="torque", unit="N m")
+
+    def few(*given):
+        raise InsufficientDataError("two speeds")
+
+    for name, value in {
+        "recordings_of": lambda runs: [own],
+        "require_one_rig": lambda recordings: None,
+        "effort_of": lambda recording, kt: effort,
+        "is_linear": lambda recording: False,
+        "_add_holds": few,
+        "_moved": lambda *given: moved,
+        "require_different": lambda *given: None,
+    }.items():
+        monkeypatch.setattr(imported, name, value)
+    other = SimpleNamespace(content_sha256="b") if compared else None
+    if refused:
+        with pytest.raises(InsufficientDataError, match="two speeds"):
+            imported.analyse_imported([None], against=other)
+        return
+    notes = imported.analyse_imported([None], against=other).notes
+    assert notes == ("torque is given", "by the dynamics of the motion: two speeds")
