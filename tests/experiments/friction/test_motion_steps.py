@@ -303,6 +303,10 @@ def test_inertia_shows_where_noise_is_a_tenth_of_the_acceleration(share, resolve
     assert (reason is None) == resolved
     if reason:
         assert "11% of its power is noise" in reason
+    slow = replace(own, design=own.design * 1e-6, noise=(0.0, own.noise[1] * 1e-6))
+    assert _resolves_inertia([slow])[0] == pytest.approx(share)
+    still = replace(own, design=own.design * [0, 1, 1, 1, 1])
+    assert _resolves_inertia([still])[0] == math.inf
     alike = own.design.copy()
     alike[:, 0] = alike[:, 1] * 3 + 0.01 * alike[:, 2]
     _, reason = _resolves_inertia([replace(own, design=alike, noise=(0.0, 0.0))])
@@ -448,7 +452,7 @@ def test_half_of_the_shorter_run_is_compared_at_least(overlap, tried):
 @pytest.mark.parametrize(("part", "refused"), [(0.09, False), (0.11, True)])
 def test_motions_that_differ_by_a_tenth_are_others(part, refused):
     rng = np.random.default_rng(8)
-    position = rng.standard_normal(4000)
+    position = 5 * rng.standard_normal(4000)
     apart = rng.standard_normal(4000)
     apart = (apart - apart.mean()) / apart.std() * part * position.std()
     if not refused:
