@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, STATES, TORQUE
-from rigtool.experiments.force_model.model import GAIN_ORDERS, RIPPLE_ORDERS, Kind
+from rigtool.experiments.force_model.model import GAIN_ORDERS, RIPPLE_ORDERS, Kind, Term
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.experiments.force_sensor.drawn_ripple import UNCERTAIN_SHARE, learned_ripple
 from rigtool.experiments.force_sensor.lasting_contact import LASTING, LASTS
@@ -17,14 +17,17 @@ from tests.experiments.deploy.sensors import LEARNED, Model
 from tests.experiments.force_filter.plants import PLANT, UNCERTAINTY
 
 FIRST = len(SLIDING_PARAMETERS)
+TERMS = [*LEARNED.terms, Term(Kind.SQUARE_RIPPLE, 1e-3, 2, 0), Term(Kind.COGGING, 1e-3, 3, 0)]
+COEFFICIENT = np.append(LEARNED.coefficient, [5e-3, 4e-4])
 
 
 def covaried(seed=2):
-    """Return the model of the tests with a covariance between its terms."""
+    """Return the model of the tests with a covariance between its terms, which are more."""
     rng = np.random.default_rng(seed)
-    size = FIRST + len(LEARNED.terms)
+    size = FIRST + len(TERMS)
     root = 1e-3 * rng.standard_normal((size, size))
-    learned = type(LEARNED)(**{**vars(LEARNED), "covariance": root @ root.T})
+    given = {"terms": TERMS, "coefficient": COEFFICIENT, "covariance": root @ root.T}
+    learned = type(LEARNED)(**{**vars(LEARNED), **given})
 
     class Own(Model):
         pass
@@ -36,10 +39,10 @@ def covaried(seed=2):
 def test_the_learned_ripple_is_that_of_its_orders():
     own, _, _ = learned_ripple(covaried())
     expected = np.zeros(2 * len(RIPPLE_ORDERS))
-    for term, value in zip(LEARNED.terms, LEARNED.coefficient, strict=True):
+    for term, value in zip(TERMS, COEFFICIENT, strict=True):
         if term.kind in (Kind.RIPPLE, Kind.COGGING):
             expected[2 * (term.order - 1) + term.quarter] += value
-    assert np.count_nonzero(expected) == 4
+    assert np.count_nonzero(expected) == 5
     assert_allclose(own, expected)
 
 
@@ -47,7 +50,7 @@ def test_another_power_up_has_the_amplitude_of_each_order_and_a_part_of_its_doub
     model = covaried()
     _, drawn, growing = learned_ripple(model)
     covariance = model.learned.covariance[FIRST:, FIRST:]
-    terms, values = LEARNED.terms, LEARNED.coefficient
+    terms, values = TERMS, COEFFICIENT
 
     def square(kinds, order, others=None):
         total = 0.0
