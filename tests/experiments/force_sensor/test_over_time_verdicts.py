@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rigtool.errors import InsufficientDataError
+from rigtool.errors import InsufficientDataError, RunFileError
 from rigtool.experiments.force_filter.motion_states import Reach, State
 from rigtool.experiments.force_sensor import procedure_over_time as module
 from rigtool.experiments.force_sensor.encoder_zero import EncoderZero
@@ -14,12 +14,16 @@ from rigtool.experiments.force_sensor.procedure_over_time import (
     _largest_friction,
     _of_this_instrument,
     _require_values,
+    reach_of,
+    require_calibration,
 )
 from rigtool.experiments.force_sensor.results_over_time import Recorded
 from rigtool.experiments.force_sensor.signal_faults import SignalFault
 from rigtool.experiments.force_sensor.unknown_friction import UnknownFriction
+from rigtool.recipe import load_recipe
 from tests.experiments.deploy.sensors import Model
 from tests.experiments.force_filter.plants import PLANT
+from tests.experiments.virtual_runs import RECIPE
 
 TABLES = SimpleNamespace(path="tables.h5")
 
@@ -147,3 +151,59 @@ def test_without_a_value_the_first_reason_is_stated():
     )
     text = refused(Part(none, 50), warm, recorded([30.0], size=60))
     assert "0.1 to 2.9 rad of the motor, up to 12 rad/s and 45.6 mN m" in text
+
+
+# -- what was learned
+
+
+def calibration(constant=0.046, rig=None, recipe=None):
+    return SimpleNamespace(
+        path="kt.h5", rig=rig, recipe=recipe, constant=constant, require_command=lambda name: None
+    )
+
+
+def test_the_reach_is_that_of_loads_strokes_and_calibration():
+    """The rotor turns by the ratio; it creeps below half of the slowest speed under load."""
+    sets = (
+        "rig.attachment=instrument",
+        "ilc_learn.speeds_rev_per_s=[0.9, 1.7]",
+        "ilc_learn.loads.speeds_rev_per_s=[0.2, 0.5]",
+        "ilc_learn.loads.forces=[0.5, 2.5]",
+        "calibrate_kt.temperatures_degc=[35, 22, 30]",
+    )
+    own = load_recipe(RECIPE, sets)[0]
+    found = reach_of(SimpleNamespace(recipe=own), calibration(recipe=own))
+    turn = 2 * math.pi * own.rig.angle_ratio
+    high = own.measure_force.angle / 360 * turn
+    assert found.angle == (0.0, pytest.approx(high))
+    assert found.speed == pytest.approx(1.7 * turn)
+    assert found.torque == pytest.approx(2.5 * own.rig.load_arm)
+    assert found.temperature_degc == (22, 35)
+    assert found.slow == pytest.approx(0.1 * turn, rel=1e-3)
+    any_warmth = reach_of(SimpleNamespace(recipe=own), calibration())
+    assert any_warmth.temperature_degc == (-math.inf, math.inf)
+    faster = load_recipe(RECIPE, (*sets, "ilc_learn.loads.speeds_rev_per_s=[0.2, 2.5]"))[0]
+    assert reach_of(SimpleNamespace(recipe=faster), calibration()).speed == pytest.approx(
+        2.5 * turn
+    )
+
+
+@pytest.mark.parametrize(
+    ("ratio", "refused"), [(1.48, False), (1.52, True), (1 / 1.48, False), (1 / 1.52, True)]
+)
+def test_a_constant_of_half_as_much_again_is_another_motors(ratio, refused, monkeypatch):
+    own = load_recipe(RECIPE)[0]
+    monkeypatch.setattr(
+        module, "torque_per_ampere_at", lambda kt, degc: SimpleNamespace(value=kt.constant)
+    )
+    given = calibration(ratio * own.rig.torque_constant)
+    if not refused:
+        require_calibration(given, own)
+        given.rig = own.rig.name
+        require_calibration(given, own)
+        given.rig = "another"
+        with pytest.raises(RunFileError, match="calibration of rig another"):
+            require_calibration(given, own)
+        return
+    with pytest.raises(RunFileError, match="another motor"):
+        require_calibration(given, own)
