@@ -20,6 +20,7 @@ from rigtool.experiments.friction.inverse_dynamics import (
     _resolves_inertia,
     _single_frequency,
     _times,
+    _with_all_that_fits,
 )
 from rigtool.experiments.friction.motion_terms import (
     DYNAMICS_PARAMETERS,
@@ -509,3 +510,20 @@ def test_runs_of_which_a_tenth_is_common_are_refused():
                     paired._aligned(own, [other])
             else:
                 assert len(paired._aligned(own, [other])[0]) == pytest.approx(2.5 / 5e-3, abs=2)
+
+
+@pytest.mark.parametrize(
+    ("times", "shift", "standstill"),
+    [(1.0, 0.0, 0.0), (2.0, 0.0, 0.05), (1.0, 6e-5, 0.05), (1.0, -6e-5, 0.05)],
+)
+def test_samples_near_standstill_that_the_model_fits_as_well_are_used(times, shift, standstill):
+    """All of them, unless their residuals are larger than the others', or lean along the motion."""
+    own = motion(low=8.0)
+    rng = np.random.default_rng(10)
+    slow = ~own.used
+    noise = 2e-5 * rng.standard_normal(COUNT) * np.where(slow, times, 1.0)
+    lean = np.where(slow, shift * np.sign(own.design[:, 1]), 0.0)
+    own = replace(own, torque=own.design[:, :4] @ TRUE + noise + lean)
+    (found,), part = _with_all_that_fits([own], [0, 1, 2, 3])
+    assert part == standstill
+    assert_array_equal(found.used, own.sliding[-1] if standstill == 0 else own.used)
