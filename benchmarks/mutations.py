@@ -1,19 +1,22 @@
 """Which faults in the numerics the tests of a room see: seeded mutations, one at a time.
 
-    .venv/bin/python benchmarks/mutations.py [--count 60] [--seed 1] [--only NUMBER ...] [--list]
+    .venv/bin/python benchmarks/mutations.py [--count 60] [--seed 1] [--within experiments/friction]
+                                             [--only NUMBER ...] [--list]
 
 Each mutation changes one operator, comparison, index, number or function name in the body of a
 function of `rigtool/quantity.py`, `rigtool/numerics`, `rigtool/control` or a room of
 `rigtool/experiments`, drawn from all such places alike. It is made in a copy of the tree; the tests
-of the file run first, then those of its room. A mutation that all of them pass survives. Not
-changed are named limits at the top of a module, which are a judgement, texts of messages, and
-annotations (R. A. DeMillo, R. J. Lipton, F. G. Sayward, Computer 11(4), 34, 1978).
+of the file run first, then those of its room, then others that import it, by themselves or by what
+they share. A mutation that all of them pass survives. Not changed are named limits at the top of a
+module, which are a judgement, texts of messages, and annotations (R. A. DeMillo, R. J. Lipton,
+F. G. Sayward, Computer 11(4), 34, 1978).
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import os
 import random
 import shutil
 import subprocess
@@ -100,8 +103,8 @@ def sites(tree: ast.AST) -> Iterator[tuple[ast.AST, str, object]]:
     yield from walk(tree, False)
 
 
-def drawn(seed: int, count: int) -> list[Mutation]:
-    """Return `count` mutations, drawn from all places in all files alike."""
+def drawn(seed: int, count: int, within: tuple[str, ...] = ("",)) -> list[Mutation]:
+    """Return `count` mutations, drawn from all places alike in files whose paths begin so."""
     files = [ROOT / "rigtool" / "quantity.py"] + [
         path
         for folder in ("numerics", "control", "experiments")
@@ -111,6 +114,7 @@ def drawn(seed: int, count: int) -> list[Mutation]:
     places = [
         (path, n)
         for path in files
+        if path.relative_to(ROOT / "rigtool").as_posix().startswith(within)
         for n in range(sum(1 for _ in sites(ast.parse(path.read_text(encoding="utf-8")))))
     ]
     return [mutation(*chosen) for chosen in random.Random(seed).sample(places, count)]
@@ -136,14 +140,30 @@ def mutation(path: Path, number: int) -> Mutation:
 
 
 def tests_of(place: str) -> list[str]:
-    """Return the tests of a file below `rigtool`, then the others of its room."""
+    """Return the tests of a file below `rigtool`, then the others of its room, then others that
+    import it."""
     file = Path("tests", place)
     own, room = file.with_name(f"test_{file.name}"), file.parent
     while not any((ROOT / room).glob("test_*.py")):
         room = room.parent
-    others = {path.relative_to(ROOT) for path in (ROOT / room).glob("test_*.py")} - {own}
-    groups = [[own] * (ROOT / own).exists(), sorted(others)]
+    here = {path.relative_to(ROOT) for path in (ROOT / room).glob("test_*.py")} - {own}
+    groups = [[own] * (ROOT / own).exists(), sorted(here), sorted(_importing(place) - here - {own})]
     return [" ".join(map(str, group)) for group in groups if group]
+
+
+def _importing(place: str) -> set[Path]:
+    """Return the tests that import a file below `rigtool`, by themselves or by what they share."""
+    texts = {p.relative_to(ROOT): p.read_text("utf-8") for p in (ROOT / "tests").rglob("*.py")}
+    names, found = {"rigtool." + _dotted(Path(place))}, set()
+    while names:
+        using = {path for path, text in texts.items() if any(name in text for name in names)}
+        names = {_dotted(path) for path in using - found if not path.name.startswith("test_")}
+        found |= using
+    return {path for path in found if path.name.startswith("test_")}
+
+
+def _dotted(path: Path) -> str:
+    return ".".join(path.with_suffix("").parts)
 
 
 def survives(found: Mutation, copy: Path) -> bool:
@@ -151,19 +171,23 @@ def survives(found: Mutation, copy: Path) -> bool:
     file = copy / "rigtool" / found.place
     whole = file.read_bytes()
     file.write_text(found.text, encoding="utf-8")
+    # numba keeps the machine code of what calls a function when only that function's file changes
+    kept = copy.parent / ("mutated" if "@compiled" in found.text else "unchanged")
     try:
-        return all(passes(tests, copy) for tests in tests_of(found.place))
+        return all(passes(tests, copy, kept) for tests in tests_of(found.place))
     finally:
         file.write_bytes(whole)
+        shutil.rmtree(copy.parent / "mutated", ignore_errors=True)
 
 
-def passes(tests: str, copy: Path) -> bool:
-    """Return whether tests pass in a copy of the tree."""
+def passes(tests: str, copy: Path, machine_code: Path) -> bool:
+    """Return whether tests pass in a copy of the tree; numba keeps its code in a folder."""
     options = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", "-m", "not real_time"]
     try:
         done = subprocess.run(
             [sys.executable, "-m", "pytest", *options, *tests.split()],
             cwd=copy,
+            env={**os.environ, "NUMBA_CACHE_DIR": str(machine_code)},
             capture_output=True,
             timeout=TIMEOUT,
             check=False,
@@ -177,10 +201,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=60, help="mutations drawn")
     parser.add_argument("--seed", type=int, default=1, help="of the draw")
+    parser.add_argument("--within", nargs="+", default=[""], help="files or rooms below rigtool")
     parser.add_argument("--only", type=int, nargs="+", help="numbers of mutations to try")
     parser.add_argument("--list", action="store_true", help="show the mutations, try none")
     asked = parser.parse_args()
-    mutations = drawn(asked.seed, asked.count)
+    mutations = drawn(asked.seed, asked.count, tuple(asked.within))
     survived = 0
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "tree"

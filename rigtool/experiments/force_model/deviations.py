@@ -41,8 +41,12 @@ MAX_SCATTER_RATIO = 3.0
 SMALLEST_SCATTER = 1e-12
 """Scatter of cycles that do not differ at all, N m."""
 
-SEARCH_RANGE = 12.0
-"""Range of the logarithms in the search, either way."""
+WHITE_PART, LOAD_START, TIME_START = 0.05, 0.01, 0.1
+"""White noise of the readings, in parts of the largest deviation of strokes; L and T, s, at the
+beginning of the search, where S and F are that deviation."""
+
+SEARCH_RANGE, START_WEIGHT = 12.0, 0.01
+"""Range of the logarithms in the search, either way, and the weight of their squares."""
 
 
 @dataclass(frozen=True)
@@ -82,15 +86,15 @@ def deviations(
     if not strokes:
         return None
     size = max(float(np.sqrt(np.mean(s.own**2))) for s in strokes)
-    start = np.log([size, 0.01, size, 0.1])
-    white, kept = (0.05 * size) ** 2, kept_by_mean(records, angle_ratio)
+    start = np.log([size, LOAD_START, size, TIME_START])
+    white, kept = (WHITE_PART * size) ** 2, kept_by_mean(records, angle_ratio)
 
     def cost(x: Array) -> float:
         stroke, load, noise, memory = np.exp(
             2 * np.clip(x - start, -SEARCH_RANGE, SEARCH_RANGE) + 2 * start
         )
         memory = np.sqrt(memory)
-        total = 0.01 * float(np.sum((x - start) ** 2))
+        total = START_WEIGHT * float(np.sum((x - start) ** 2))
         for s in strokes:
             whole = (1 - kept / s.count) * (stroke * s.alike + load * s.loaded)
             whole += (1 - 1 / s.count) * noise * np.exp(-s.apart / memory)

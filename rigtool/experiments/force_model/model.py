@@ -294,6 +294,10 @@ HOUSING_ORDERS, LOAD_FRICTION_ORDERS = range(1, 7), range(1, 3)
 OFFSET_SPREAD = 0.01
 """Prior of a constant torque besides the amplifier's offset, in parts of the friction."""
 
+INERTIA_SPREAD, SIDED_SPREAD, WAVE_SPREAD, DAMPING_TIME = 0.1, 0.1, 0.3, 1e-3
+"""Relative priors: the stated inertia; friction's difference between directions, and its waves by
+the angle, in parts of the friction; and the time, s, that damps pre-sliding."""
+
 LOAD_FRICTION_SPREAD = 0.3
 GAIN_SPREAD = 0.02
 RIPPLE_SPREAD = 0.01
@@ -308,24 +312,24 @@ def terms_for(sizes: Sizes, known: Known) -> tuple[Term, ...]:
     """Return the terms for a rig of these sizes."""
     listed = [
         Term(Kind.OFFSET, OFFSET_SPREAD * sizes.friction),
-        Term(Kind.INERTIA, 0.1 * known.inertia),
+        Term(Kind.INERTIA, INERTIA_SPREAD * known.inertia),
         Term(Kind.VISCOUS, sizes.friction / sizes.speed),
         Term(Kind.BEARING, sizes.friction),
         Term(Kind.STRIBECK, sizes.friction),
-        Term(Kind.BEARING_DAMPING, sizes.friction * 1e-3),
+        Term(Kind.BEARING_DAMPING, DAMPING_TIME * sizes.friction),
         Term(Kind.HOUSING, sizes.friction),
-        Term(Kind.HOUSING_SIDED, 0.1 * sizes.friction),
+        Term(Kind.HOUSING_SIDED, SIDED_SPREAD * sizes.friction),
         Term(Kind.LOAD_FRICTION, LOAD_FRICTION_SPREAD),
         Term(Kind.CARRIED, GAIN_SPREAD),
         Term(Kind.DELAY, DELAY_SPREAD),
         Term(Kind.SQUARE_RIPPLE, RIPPLE_SPREAD / sizes.current),
     ]
-    listed += _waves(Kind.VISCOUS, 0.3 * sizes.friction / sizes.speed, range(1, 3))
+    listed += _waves(Kind.VISCOUS, WAVE_SPREAD * sizes.friction / sizes.speed, range(1, 3))
     listed += _waves(Kind.COGGING, sizes.ripple, COGGING_ORDERS, 1.0)
     listed += _waves(Kind.RIPPLE, sizes.ripple, RIPPLE_ORDERS, 0.5)
     listed += _waves(Kind.GAIN_RIPPLE, RIPPLE_SPREAD, GAIN_ORDERS)
     listed += _waves(Kind.SQUARE_RIPPLE, RIPPLE_SPREAD / sizes.current, GAIN_ORDERS)
-    listed += _waves(Kind.HOUSING, 0.3 * sizes.friction, HOUSING_ORDERS, 0.5)
+    listed += _waves(Kind.HOUSING, WAVE_SPREAD * sizes.friction, HOUSING_ORDERS, 0.5)
     listed += _waves(Kind.LOAD_FRICTION, LOAD_FRICTION_SPREAD / 10, LOAD_FRICTION_ORDERS)
     return tuple(listed)
 

@@ -54,6 +54,13 @@ SPEED_BLOCKS = 400
 ON_STEPS = 0.5
 """Smallest part of the time on plateaus of a staircase of speed."""
 
+ASKED_STEP = 1e-3
+"""Part of the highest speed by which set points of one speed differ at most."""
+
+SHOWN_STEP, SHOWN_RANGE = 0.02, 0.05
+"""Parts of the highest speed by which measured speeds of a plateau differ from one to the next, and
+in all."""
+
 OTHER_SPEED = 0.5
 """Ratio of the speeds of a staircase at most: one speed with its scatter has no such steps."""
 
@@ -154,13 +161,13 @@ def _steps(recording: Recording, time: Array, position: Array) -> list[tuple[int
     if recording.has("speed_setpoint"):
         level = recording.read("speed_setpoint")
         samples = np.arange(len(time))
-        step = largest = 1e-3 * float(np.max(np.abs(level)))
+        step = largest = ASKED_STEP * float(np.max(np.abs(level)))
     else:
         count = min(SPEED_BLOCKS, len(time) // 4)
         samples = np.linspace(0, len(time) - 1, count + 1).round().astype(np.int64)
         level = np.diff(position[samples]) / np.diff(time[samples])
         top = float(np.max(np.abs(level)))
-        step, largest = 0.02 * top, 0.05 * top
+        step, largest = SHOWN_STEP * top, SHOWN_RANGE * top
     slowest = SLOWEST_PLATEAU * float(np.max(np.abs(level)))
     found = [
         (int(samples[a]), int(samples[min(b, len(samples) - 1)]))

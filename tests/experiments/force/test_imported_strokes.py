@@ -1,11 +1,19 @@
 """Loads of closing strokes, against statistics of the strokes themselves."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import chi, f_oneway
 
-from rigtool.experiments.force.imported_strokes import Strokes, scatter_results, stroke_loads
+from rigtool.experiments.force.imported_strokes import (
+    STROKE_CELLS,
+    Strokes,
+    read_strokes,
+    scatter_results,
+    stroke_loads,
+)
 
 
 def test_a_load_is_the_mean_of_all_strokes_and_its_u_that_of_runs():
@@ -64,3 +72,53 @@ def test_strokes_that_miss_a_position_count_where_they_are():
     assert_allclose(found["scatter_between_runs"].value, 0.2 / np.sqrt(2), rtol=1e-12)
     assert set(found) == {"scatter_between_runs"}
     assert not notes
+
+
+def test_strokes_of_all_runs_are_read_at_common_positions():
+    """From the least to the farthest place of any stroke; NaN where a stroke is not. Fewer than
+    three samples are no stroke."""
+
+    def run(low, high, offset):
+        place = np.concatenate([np.linspace(low, high, 40), np.linspace(high, low, 30)])
+        fast = np.zeros(70, dtype=bool)
+        fast[:40] = fast[42:45] = fast[50:52] = True
+        signals = SimpleNamespace(place=place, sensor=3 * place)
+        return signals, 2 * place + offset, fast
+
+    found = read_strokes([run(0.1, 0.8, 0.0), run(0.2, 1.1, 5.0)])
+    grid = np.linspace(0.1, 1.1, 2 * STROKE_CELLS + 1)
+    for item, (low, high), offset in zip(found, ((0.1, 0.8), (0.2, 1.1)), (0.0, 5.0), strict=True):
+        assert_allclose(item.place, grid)
+        assert item.torque.shape == item.sensor.shape == (2, len(grid))
+        inside = (grid >= low - 1e-12) & (grid <= high + 1e-12)
+        assert_allclose(item.torque[0], np.where(inside, 2 * grid + offset, np.nan), atol=1e-9)
+        assert_allclose(item.sensor[0], np.where(inside, 3 * grid, np.nan), atol=1e-9)
+        short = np.isfinite(item.torque[1])
+        step = (high - low) / 29
+        assert np.ptp(grid[short]) <= 2 * step
+        assert_allclose(item.torque[1][short], 2 * grid[short] + offset, atol=1e-9)
+        assert short.any()
+    nothing = run(0.1, 0.8, 0.0)
+    nothing[2][:] = False
+    assert read_strokes([nothing]) == []
+
+
+def test_loads_are_those_of_each_level_against_closing():
+    """The sign is that of all sensors; a level that no stroke passes the middle of has no row."""
+    place = np.linspace(0, 1, 51)
+
+    def strokes(torque, sensor, count=2):
+        return Strokes(place, np.full((count, 51), torque), np.full((count, 51), sensor))
+
+    missing = strokes(np.nan, -0.02)
+    given = [strokes(-0.05, -0.049), strokes(-0.021, -0.02), strokes(-0.053, -0.049), missing]
+    found = stroke_loads(given, [1, 0, 1, 2])
+    assert_allclose(found["applied_torque"], [0.02, 0.049])
+    assert_allclose(found["mean_torque"], [0.021, 0.0515])
+    assert_allclose(found["error_torque"], [0.001, 0.0025])
+    assert_allclose(found["mean_torque_u"][1], np.std([0.05, 0.053], ddof=1) / np.sqrt(2))
+    assert np.isnan(found["mean_torque_u"][0])
+    assert_allclose(found["cycles"], [2, 4])
+    assert "at 0.5 rad" in found.description
+    assert stroke_loads([missing], [0]) is None
+    assert stroke_loads([], []) is None

@@ -234,7 +234,7 @@ def test_the_noise_of_friction_fades_from_step_to_step(pieces, monkeypatch):
     assert kept == [pytest.approx(math.exp(-0.05))]
 
 
-@pytest.mark.parametrize(("corner", "step"), [(10.0, 1e-3), (30.0, 2e-3), (1.0, 1.0)])
+@pytest.mark.parametrize(("corner", "step"), [(10.0, 1e-3), (30.0, 2e-3), (1.0, 1.0), (1e-3, 1.0)])
 def test_without_its_delay_a_deviation_is_earlier_and_holds_at_the_end(corner, step):
     deviation = np.arange(60.0) ** 2
     late = min(round(passed.delay(corner) / step), 59)
@@ -342,3 +342,12 @@ def test_a_filter_begins_at_rest_between_two_edges_with_a_load_that_stretches_th
         covariance[STATES : passed.JOINT_STATES, STATES : passed.JOINT_STATES],
         np.outer(behind, behind) * own[TORQUE, TORQUE],
     )
+
+
+@pytest.mark.parametrize("size", [1, 3])
+def test_a_step_ends_at_the_sample_behind_it(size):
+    low = 1e-3 * np.arange(10.0)
+    own = estimate.Filter(PLANT, UNCERTAINTY, size, 10.0)
+    found = own.add(Signals(0 * low, 5e-5 + 0 * low, low, 1e-3))
+    np.testing.assert_array_equal(found.low, low[size::size])
+    assert len(found.torque) == len(found.deviation) == 9 // size

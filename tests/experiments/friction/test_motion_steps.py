@@ -20,6 +20,7 @@ from rigtool.experiments.friction.inverse_dynamics import (
     _resolves_inertia,
     _single_frequency,
     _times,
+    _with_all_that_fits,
 )
 from rigtool.experiments.friction.motion_terms import (
     DYNAMICS_PARAMETERS,
@@ -237,6 +238,20 @@ def test_a_fit_states_what_it_leaves_and_explains():
     assert_allclose(found.torque(parts[0]), parts[0].design[:, :4] @ solution)
 
 
+def test_noise_of_the_acceleration_draws_the_inertia_towards_zero():
+    """By its part of what the others leave of the acceleration: that much counts as uncertainty."""
+    quiet, noisy = (replace(motion(), noise=(0.0, size)) for size in (0.0, 20.0))
+    before, after = found_of([quiet]), found_of([noisy])
+    design = weighted([quiet])[0][:, :4]
+    others = design[:, 1:]
+    rest = design[:, 0] - others @ np.linalg.lstsq(others, design[:, 0], rcond=None)[0]
+    share = quiet.used.sum() * SPACING * 20.0**2 / np.sum(rest**2)
+    more = (share * before.parameters[0]) ** 2
+    assert after.covariance[0, 0] - before.covariance[0, 0] == pytest.approx(more, rel=1e-6)
+    assert_allclose(after.covariance[1:4, 1:4], before.covariance[1:4, 1:4])
+    assert more > before.covariance[0, 0] / 10
+
+
 def test_sums_of_parameters_have_the_variance_of_their_covariance():
     rng = np.random.default_rng(5)
     root = rng.standard_normal((6, 6))
@@ -289,6 +304,10 @@ def test_inertia_shows_where_noise_is_a_tenth_of_the_acceleration(share, resolve
     assert (reason is None) == resolved
     if reason:
         assert "11% of its power is noise" in reason
+    slow = replace(own, design=own.design * 1e-6, noise=(0.0, own.noise[1] * 1e-6))
+    assert _resolves_inertia([slow])[0] == pytest.approx(share)
+    still = replace(own, design=own.design * [0, 1, 1, 1, 1])
+    assert _resolves_inertia([still])[0] == math.inf
     alike = own.design.copy()
     alike[:, 0] = alike[:, 1] * 3 + 0.01 * alike[:, 2]
     _, reason = _resolves_inertia([replace(own, design=alike, noise=(0.0, 0.0))])
@@ -434,7 +453,7 @@ def test_half_of_the_shorter_run_is_compared_at_least(overlap, tried):
 @pytest.mark.parametrize(("part", "refused"), [(0.09, False), (0.11, True)])
 def test_motions_that_differ_by_a_tenth_are_others(part, refused):
     rng = np.random.default_rng(8)
-    position = rng.standard_normal(4000)
+    position = 5 * rng.standard_normal(4000)
     apart = rng.standard_normal(4000)
     apart = (apart - apart.mean()) / apart.std() * part * position.std()
     if not refused:
@@ -455,3 +474,56 @@ def test_runs_have_one_even_time_axis():
         assert_allclose(values[known], slope * (time[0] + axis)[known], atol=1e-6)
     assert 0.75 < known.mean() < 0.85  # not in the gap of half a second
     assert paired._even(replace(own, angle=None))[3] is None
+
+
+def test_runs_that_overlap_entirely_are_compared_from_end_to_end():
+    (time, position), (_, again) = signals(0.0), signals(0.0)
+    runs = [MotionSignals(time, one, 3 * one) for one in (position, again, again[:3000])]
+    runs[2] = replace(runs[2], time=time[:3000], effort=3 * again[:3000])
+    axis, found, shifts = paired._aligned(runs[0], runs[1:2])
+    assert_allclose(axis, time, atol=1e-9)
+    assert shifts == pytest.approx([0.0], abs=1e-9)
+    for values, effort, angle, known in found:
+        assert_allclose(values, position, atol=1e-9)
+        assert_allclose(effort, 3 * position, atol=1e-9)
+        assert angle is None
+        assert known.all()
+    axis = paired._aligned(runs[0], runs[1:])[0]
+    assert_allclose(axis, time[:3000], atol=1e-9)
+    (_, late) = signals(1.5)
+    axis, found, shifts = paired._aligned(runs[0], [MotionSignals(time, late, 3 * late)])
+    assert shifts == pytest.approx([1.5], abs=1e-4)
+    assert axis[0] == pytest.approx(0.0)
+    assert axis[-1] == pytest.approx(time[-1] - 1.5, abs=6e-3)
+    assert_allclose(found[1][0], found[0][0], atol=1e-3)
+
+
+def test_runs_of_which_a_tenth_is_common_are_refused():
+    (time, position) = signals(0.0)
+    for begin, refused in ((17.5, False), (18.5, True)):
+        _, late = signals(-begin)
+        own, other = MotionSignals(time, position, position), MotionSignals(time, late, late)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(paired, "_shift", lambda *given, by=-begin: by)
+            if refused:
+                with pytest.raises(InsufficientDataError, match="less than a tenth"):
+                    paired._aligned(own, [other])
+            else:
+                assert len(paired._aligned(own, [other])[0]) == pytest.approx(2.5 / 5e-3, abs=2)
+
+
+@pytest.mark.parametrize(
+    ("times", "shift", "standstill"),
+    [(1.0, 0.0, 0.0), (2.0, 0.0, 0.05), (1.0, 6e-5, 0.05), (1.0, -6e-5, 0.05)],
+)
+def test_samples_near_standstill_that_the_model_fits_as_well_are_used(times, shift, standstill):
+    """All of them, unless their residuals are larger than the others', or lean along the motion."""
+    own = motion(low=8.0)
+    rng = np.random.default_rng(10)
+    slow = ~own.used
+    noise = 2e-5 * rng.standard_normal(COUNT) * np.where(slow, times, 1.0)
+    lean = np.where(slow, shift * np.sign(own.design[:, 1]), 0.0)
+    own = replace(own, torque=own.design[:, :4] @ TRUE + noise + lean)
+    (found,), part = _with_all_that_fits([own], [0, 1, 2, 3])
+    assert part == standstill
+    assert_array_equal(found.used, own.sliding[-1] if standstill == 0 else own.used)

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.friction import procedure
+from rigtool.experiments.friction import imported, procedure
 from rigtool.experiments.friction.imported import _stretches
 from rigtool.experiments.friction.results import Findings, Scale, _add_directions
 from rigtool.experiments.friction.results_difference import (
@@ -81,6 +81,14 @@ def test_a_staircase_has_a_stretch_for_each_speed_that_is_not_standstill():
     assert_allclose([b for _, b in _stretches(asked)], [400, 800, 1600, 2000], atol=1)
 
 
+@pytest.mark.parametrize(("part", "held"), [(0.8e-3, 4), (1.5e-3, 0)])
+def test_set_points_within_a_thousandth_of_the_highest_are_one_speed(part, held):
+    """Beside standstill: rounding of what a drive reports is no step."""
+    speed = steps(2.0, 5.0, 0.0, -3.0, 8.0, count=400)
+    asked = np.append(speed, 8.0) + 8.0 * part * (np.arange(2001) % 2)
+    assert len(_stretches(Moved(speed, speed_setpoint=asked))) == held
+
+
 @pytest.mark.parametrize(("ratio", "one"), [(0.55, True), (0.45, False)])
 def test_speeds_within_a_factor_of_two_are_one_with_its_scatter(ratio, one):
     """Where the last half is even: a staircase of a speed and its half is two holds."""
@@ -88,6 +96,14 @@ def test_speeds_within_a_factor_of_two_are_one_with_its_scatter(ratio, one):
     found = _stretches(Moved(speed))
     assert (found == [(0, 1201)]) == one
     assert len(found) == (1 if one else 2)
+
+
+@pytest.mark.parametrize(("ratio", "one"), [(0.51, True), (0.49, False)])
+def test_the_speed_of_a_short_stretch_is_that_of_its_own_samples(ratio, one):
+    """Of 16 samples each counts: a fifteenth of their time."""
+    speed = np.append(np.full(16, 5.0 * ratio), steps(5.0, count=900))
+    found = _stretches(Moved(speed, speed_setpoint=np.append(speed, 5.0)))
+    assert (found == [(0, 917)]) == one
 
 
 @pytest.mark.parametrize(("share", "held"), [(0.42, False), (0.6, True)])
@@ -283,3 +299,36 @@ def test_a_run_is_not_compared_with_itself():
     for given in (([one], one, None), ([one], other, other), ([one, other], other, None)):
         with pytest.raises(UsageError, match="given twice"):
             require_different(*given)
+
+
+@pytest.mark.parametrize(
+    ("moved", "compared", "refused"),
+    [(True, False, False), (False, False, True), (True, True, True)],
+)
+def test_holds_that_are_too_few_leave_the_dynamics_of_the_motion(
+    moved, compared, refused, monkeypatch
+):
+    """A comparison needs the holds."""
+    own = Moved(steps(5.0, count=400))
+    effort = SimpleNamespace(relative_u=0.01, origin="given", name="torque", unit="N m")
+
+    def few(*given):
+        raise InsufficientDataError("two speeds")
+
+    for name, value in {
+        "recordings_of": lambda runs: [own],
+        "require_one_rig": lambda recordings: None,
+        "effort_of": lambda recording, kt: effort,
+        "is_linear": lambda recording: False,
+        "_add_holds": few,
+        "_moved": lambda *given: moved,
+        "require_different": lambda *given: None,
+    }.items():
+        monkeypatch.setattr(imported, name, value)
+    other = SimpleNamespace(content_sha256="b") if compared else None
+    if refused:
+        with pytest.raises(InsufficientDataError, match="two speeds"):
+            imported.analyse_imported([None], against=other)
+        return
+    notes = imported.analyse_imported([None], against=other).notes
+    assert notes == ("torque is given", "by the dynamics of the motion: two speeds")

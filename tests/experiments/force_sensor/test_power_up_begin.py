@@ -1,0 +1,142 @@
+"""What a power-up may draw, and the state in which its ripple is followed, by formulas."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, STATES, TORQUE
+from rigtool.experiments.force_model.model import GAIN_ORDERS, RIPPLE_ORDERS, Kind, Term
+from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
+from rigtool.experiments.force_sensor.drawn_ripple import UNCERTAIN_SHARE, learned_ripple
+from rigtool.experiments.force_sensor.lasting_contact import LASTING, LASTS
+from rigtool.experiments.force_sensor.power_up import PowerUp
+from rigtool.experiments.force_sensor.ripple_rows import CONTACT, late_rows, row_steps
+from tests.experiments.deploy.sensors import LEARNED, Model
+from tests.experiments.force_filter.plants import PLANT, UNCERTAINTY
+
+FIRST = len(SLIDING_PARAMETERS)
+TERMS = [*LEARNED.terms, Term(Kind.SQUARE_RIPPLE, 1e-3, 2, 0), Term(Kind.COGGING, 1e-3, 3, 0)]
+COEFFICIENT = np.append(LEARNED.coefficient, [5e-3, 4e-4])
+
+
+def covaried(seed=2):
+    """Return the model of the tests with a covariance between its terms, which are more."""
+    rng = np.random.default_rng(seed)
+    size = FIRST + len(TERMS)
+    root = 1e-3 * rng.standard_normal((size, size))
+    given = {"terms": TERMS, "coefficient": COEFFICIENT, "covariance": root @ root.T}
+    learned = type(LEARNED)(**{**vars(LEARNED), **given})
+
+    class Own(Model):
+        pass
+
+    Own.learned = learned
+    return Own()
+
+
+def test_the_learned_ripple_is_that_of_its_orders():
+    own, _, _ = learned_ripple(covaried())
+    expected = np.zeros(2 * len(RIPPLE_ORDERS))
+    for term, value in zip(TERMS, COEFFICIENT, strict=True):
+        if term.kind in (Kind.RIPPLE, Kind.COGGING):
+            expected[2 * (term.order - 1) + term.quarter] += value
+    assert np.count_nonzero(expected) == 5
+    assert_allclose(own, expected)
+
+
+def test_another_power_up_has_the_amplitude_of_each_order_and_a_part_of_its_doubt():
+    model = covaried()
+    _, drawn, growing = learned_ripple(model)
+    covariance = model.learned.covariance[FIRST:, FIRST:]
+    terms, values = TERMS, COEFFICIENT
+
+    def square(kinds, order, others=None):
+        total = 0.0
+        for quarter in (0, 1):
+            one, other = (
+                np.array([t.kind in k and (t.order, t.quarter) == (order, quarter) for t in terms])
+                for k in (kinds, others or kinds)
+            )
+            doubt = one @ covariance @ other
+            total += (one @ values) * (other @ values) + UNCERTAIN_SHARE * doubt
+        return total
+
+    for order in RIPPLE_ORDERS:
+        expected = square((Kind.RIPPLE, Kind.COGGING), order) / 2
+        assert_allclose(drawn[2 * order - 2 : 2 * order], expected)
+    gain, bent = (Kind.GAIN_RIPPLE,), (Kind.SQUARE_RIPPLE,)
+    for order in GAIN_ORDERS:
+        # |g + h |i||^2 = g g + 2 g h |i| + h h i^2
+        expected = square(gain, order), 2 * square(gain, order, bent), square(bent, order)
+        assert_allclose(growing[order - 1], expected, atol=1e-18)
+
+
+@pytest.mark.parametrize("step_time", [1e-3, 4e-3])
+def test_it_is_followed_from_the_learned_power_up_on(step_time):
+    model = covaried()
+    own, drawn, growing = learned_ripple(model)
+    found = PowerUp(model, step_time, 10.0)
+    p, s = found._parameters[0], found._state[0]
+    plant = model.plant(step_time)
+    size = UNCERTAINTY.stroke + UNCERTAINTY.friction_noise
+    factor = PLANT.torque_factor
+    expected = {
+        "lag": 1 - math.exp(-step_time / LEARNED.shape.ripple_time),
+        "factor": factor,
+        "steps": row_steps(step_time),
+        "time": row_steps(step_time) * step_time,
+        "size": factor * size,
+        "late": late_rows(step_time),
+        "step_time": step_time,
+        "inertia": PLANT.inertia + PLANT.grasper_inertia / (PLANT.angle_ratio * factor),
+        "friction": plant.housing_friction,
+        "length": plant.housing_presliding_angle,
+        "slow": 3 * PLANT.presliding_angle / step_time,
+        "shown": 1 - math.exp(-step_time / 12e-3),
+        "load_friction": PLANT.load_friction,
+        "onset": PLANT.load_friction_onset,
+    }
+    assert set(expected) == set(p.dtype.names)
+    for name, value in expected.items():
+        assert p[name] == pytest.approx(value), name
+    variances = np.append(drawn, (factor * size) ** 2)
+    assert_allclose(s["mean"], np.append(-own, 0.0))
+    assert_allclose(s["covariance"], np.diag(variances))
+    assert_allclose(s["means"], [s["mean"]] * len(s["means"]))
+    assert_allclose(s["covariances"], [s["covariance"]] * len(s["covariances"]))
+    assert_allclose(s["learned"], own)
+    assert_allclose(s["growing"], growing)
+    assert_allclose(s["drawn"], drawn)
+    assert (s["direction"], s["length"]) == (1.0, row_steps(step_time))
+    assert s["plain_variance"] == pytest.approx(variances[-1])
+    assert s["lasts"] == s["plain_lasts"] == LASTS
+    assert s["level_variance"] == pytest.approx((CONTACT * factor * size) ** 2)
+    for name in ("lasting", "lastings", "plain_lasting"):
+        assert_allclose(s[name][..., 1], (LASTING * factor * size) ** 2)
+        assert not s[name][..., 0].any()
+
+
+@pytest.mark.parametrize(("odds", "expected"), [(0.0, 0.5), (math.log(3), 0.75), (-40.0, 0.0)])
+def test_its_probability_is_that_of_its_odds(odds, expected):
+    own = PowerUp(Model(), 1e-3, 10.0)
+    own._state["other"] = odds
+    assert own.probability == pytest.approx(expected, abs=1e-12)
+
+
+def test_it_slides_where_the_long_bristle_is_bent_in_the_direction_of_motion(monkeypatch):
+    own, seen = PowerUp(Model(), 1e-3, 10.0), []
+    monkeypatch.setattr(PowerUp, "_followed", lambda self, *given: seen.append(given))
+    states = np.zeros((4, STATES))
+    states[:, SPEED] = 2.0, -2.0, 2.0, -2.0
+    states[:, HOUSING] = 0.91, -0.91, 0.89, 0.95
+    states[:, TORQUE], states[:, GRASPER] = np.arange(4), 10 + np.arange(4)
+    gains, drive = np.ones((4, 6)), np.ones((2, 4)).T
+    own.add(np.arange(4.0), states, gains, drive)
+    _, angle, torque, sliding, follows, driven = seen[0]
+    assert sliding.tolist() == [True, True, False, False]
+    assert torque.tolist() == [0, 1, 2, 3]
+    assert_allclose(follows, np.column_stack([gains, states[:, [GRASPER, SPEED, HOUSING]]]))
+    assert driven.flags.c_contiguous
+    assert angle.tolist() == [0, 1, 2, 3]
