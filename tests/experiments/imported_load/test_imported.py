@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rigtool.experiments.imported_load import imported
 from rigtool.experiments.imported_load.imported import (
     _friction_table,
     _level_table,
@@ -67,3 +68,23 @@ def test_notes_count_levels_and_speeds():
     assert _notes(learned(1), 12)[-1].startswith("recorded at one speed")
     assert len(_notes(learned(1, strokes=2), 12)) == 3
     assert _notes(learned(2), 12)[-1].startswith("recorded at two speeds")
+
+
+@pytest.mark.parametrize(("linear", "turn"), [(1.0, 0.0), (0.0, 2 * np.pi)])
+def test_a_linear_axis_has_no_turn(monkeypatch, linear, turn):
+    class LearnedError(Exception):
+        pass
+
+    def learn(signals, *, turn, prior):
+        raise LearnedError(turn, prior)
+
+    recording = SimpleNamespace(
+        has=lambda name: True, conditions={"linear_axis": linear}, condition=lambda name: linear
+    )
+    signals = [SimpleNamespace(effort_unit="A")]
+    monkeypatch.setattr(imported, "recordings_of", lambda runs: [recording])
+    monkeypatch.setattr(imported, "read_all", lambda runs, kt, bandwidth_hz: signals)
+    monkeypatch.setattr(imported, "learn_load_model", learn)
+    with pytest.raises(LearnedError) as found:
+        imported.analyse_imported([])
+    assert found.value.args == (turn, None)
