@@ -9,6 +9,7 @@ from rigtool.experiments.torque_per_ampere import (
     mean_constant,
     temperature_at_ends,
     torque_per_ampere,
+    torque_per_ampere_at,
     with_constant,
 )
 from rigtool.quantity import Quantity
@@ -103,6 +104,29 @@ def test_what_is_proportional_to_the_constant_shares_its_uncertainty():
     assert found.dof == pytest.approx(10 * (5 / 3) ** 4, rel=1e-12)
     bare = Quantity(2.0, "N m", reason="not repeated")
     assert with_constant(bare, constant) is bare
+
+
+def test_at_a_temperature_it_is_the_line_with_the_budget_of_its_derivatives(tmp_path):
+    given = {"constant": (0.0458, 2e-5), "slope": (-1.2e-3, 4e-5), "gain": (1.25, 3e-4)}
+    results = {
+        "torque_constant": Quantity(0.0458, "N m/A", 2e-5),
+        "torque_constant_temperature_coefficient": Quantity(-1.2e-3, "1/K", 4e-5),
+        "amplifier_gain": Quantity(1.25, "1", 3e-4),
+    }
+
+    def line(constant, slope, gain):
+        return constant * (1 + slope * (45.0 - 20.0)) * gain
+
+    values = {name: value for name, (value, _) in given.items()}
+    moved = [
+        line(**values | {name: value + u}) - line(**values) for name, (value, u) in given.items()
+    ]
+    with calibration(tmp_path / "kt.h5", **results) as kt:
+        found = torque_per_ampere_at(kt, 45.0)
+    assert found.value == pytest.approx(line(**values), rel=1e-12)
+    assert [each.contribution for each in found.budget] == pytest.approx(np.abs(moved), rel=1e-6)
+    with calibration(tmp_path / "one.h5") as kt:  # without a slope
+        assert torque_per_ampere_at(kt, 45.0) == torque_per_ampere(kt)
 
 
 class Imported:

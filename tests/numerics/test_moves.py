@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError
-from rigtool.numerics.moves import at_positions, cut_moves
+from rigtool.numerics.moves import Moves, at_positions, cut_moves
 from rigtool.rigs.motion import Triangle
 
 DT = 125e-6
@@ -58,3 +58,19 @@ def test_too_few_or_unlike_moves_are_refused():
     both = np.concatenate([setpoint, slower])
     with pytest.raises(InsufficientDataError, match="differ by more than a sample"):
         cut_moves(np.arange(len(both)) * DT, both, np.zeros(len(both)), 3)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_what_is_read_at_the_positions_of_samples_are_the_samples(direction):
+    """From end to end of either half of the period."""
+    setpoint = np.array([0.0, 1.0, 2.5, 3.0, 2.0, 1.5, -1.0, -0.5])
+    signals = np.random.default_rng(1).standard_normal((2, 8))
+    moves = Moves(1.0, setpoint, signals)
+    half = [6, 7, 0, 1, 2, 3] if direction > 0 else [6, 5, 4, 3]
+    found = at_positions(moves, signals, setpoint[half], direction)
+    np.testing.assert_allclose(found, signals[:, half], rtol=1e-12)
+    between = (setpoint[half][1:] + setpoint[half][:-1]) / 2
+    expected = (signals[:, half][:, 1:] + signals[:, half][:, :-1]) / 2
+    np.testing.assert_allclose(
+        at_positions(moves, signals, between, direction), expected, rtol=1e-12
+    )

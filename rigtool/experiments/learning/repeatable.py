@@ -49,7 +49,7 @@ class Repeatability:
         p = fdtrc(real, real * (self.cycles - 1), self.mean / chance)
         p[~tested] = 1.0
         ranked = np.sort(p[tested])
-        below = ranked <= MAX_CHANCE_PART * np.arange(1, ranked.size + 1) / max(ranked.size, 1)
+        below = ranked <= MAX_CHANCE_PART * np.arange(1, ranked.size + 1) / ranked.size
         limit = ranked[below].max(initial=-1.0)
         return tested & (p <= limit)
 

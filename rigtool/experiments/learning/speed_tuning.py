@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from rigtool.control.lookup_table import LookupTable
 from rigtool.experiments.learning.rows import Row
 from rigtool.numerics.arrays import Array, ComplexArray
-from rigtool.numerics.jackknife import jackknife, standard_uncertainty
+from rigtool.numerics.jackknife import jackknife
 
 Orders = ComplexArray
 
@@ -114,8 +114,7 @@ def _fit(wave: Orders, row: Row, near: float) -> tuple[float, ...]:
     turned = wave * np.exp(1j * np.arange(1, wave.size + 1) * shift)
     each = np.real(measured @ np.conj(turned)) / power
     amplitude = float(each.mean())
-    without = (each.sum() - each) / (count - 1)
-    amplitude_u = standard_uncertainty(without)
+    amplitude_u = float(each.std(ddof=1)) / math.sqrt(count)
     mean = measured.mean(axis=0)
     norm = math.sqrt(power * float(np.sum(np.abs(mean) ** 2)))
     correlation = amplitude * power / norm if norm > 0 else 0.0

@@ -16,11 +16,13 @@ from rigtool.experiments.imported_load.learning import (
     _slack,
     _strokes,
     _turns,
+    learn_load_model,
     level_numbers,
     resisted_direction,
 )
 from rigtool.experiments.imported_load.region import MARGIN, NARROW
 from rigtool.experiments.imported_load.side import INTERVAL_COVERAGE
+from tests.experiments.imported_load.loaded_drive import observations
 
 
 def moving(low, high, speed=1.0):
@@ -91,6 +93,23 @@ def test_recordings_are_left_out_with_other_repeats_of_other_levels():
         assert sorted(level[turns == one].tolist()) == [0, 1, 2]
         repeats = np.flatnonzero(turns == one) % 3
         assert len(set(repeats.tolist())) == 3
+
+
+def test_errors_of_levels_left_out_are_within_their_u():
+    """And loads are looked for up to a part of their distance beyond them."""
+    learned = learn_load_model(observations(frequencies=(0.15, 0.3)))
+    found, model = learned.validation, learned.model
+    held = np.abs(found.error) <= 1.96 * found.u
+    assert 0.92 < held.mean() < 0.995
+    for against in (True, False):
+        rows = found.against == against
+        rms = np.sqrt(np.mean(found.error[rows] ** 2))
+        assert rms == pytest.approx(np.sqrt(np.mean(found.u[rows] ** 2)), rel=0.5)
+    # loads of 20 to 80 mN m vary by a tenth along the stroke
+    ends = np.array([-0.08 * 1.097, -0.02 * 0.903])
+    beyond = MARGIN * np.ptp(ends) / 3 * np.array([-1, 1])
+    expected = (ends + beyond) / model.scales.torque
+    np.testing.assert_allclose(model.torque_range, expected, atol=0.02)
 
 
 def test_the_first_and_the_last_are_no_inner_ones():

@@ -390,6 +390,35 @@ def test_a_transient_is_left_out():
     assert path.regular[(path.time < 5.5) | (path.time > 6.7)].all()
 
 
+def test_a_second_at_either_end_is_left_out():
+    time, position, effort, torque = record(0.05, 0.1)
+    path, (low, _) = path_of(50 + time, position, BANDWIDTH_HZ, effort, torque)
+    step = np.diff(path.time)
+    np.testing.assert_allclose(step, step[0], rtol=1e-9)
+    assert 51 <= path.time[0] < 51 + 2 * step[0]
+    assert 49 + time[-1] - 2 * step[0] < path.time[-1] <= 49 + time[-1]
+    assert len(low) == len(path.time)
+    np.testing.assert_allclose(path.position, 20 * np.sin(0.2 * np.pi * (path.time - 50)), atol=0.3)
+    speed = 4 * np.pi * np.cos(0.2 * np.pi * (path.time - 50))
+    np.testing.assert_allclose(path.speed, speed, atol=0.2)
+    short = time < 2
+    with pytest.raises(InsufficientDataError, match="1 s at either end are left out"):
+        path_of(time[short], position[short], BANDWIDTH_HZ, effort[short], torque[short])
+
+
+def test_a_load_within_the_range_is_bounded_also_where_no_stroke_is_beside(learned):
+    """Between two reversals, slower than was learned."""
+    item = observe(0.05, 0.1, seed=12)
+    slow = replace(item.path, speed=1e-3 * item.path.speed)
+    found = learned.model.estimate(item.effort, slow)
+    still = found.states == State.STILL
+    assert still.sum() > 20
+    half = np.sqrt(3) * found.u[still]
+    assert np.mean(np.abs(found.torque[still] - item.reference[still]) <= half) > 0.8
+    heavy = learned.model.estimate(2.5 * item.effort, slow)
+    assert (heavy.states == State.STILL).sum() < 0.5 * still.sum()  # beyond what was learned
+
+
 def test_two_loads_make_a_line():
     items = observations(loads=(0.02, 0.06))
     model = learn_load_model(items).model

@@ -154,6 +154,16 @@ def test_few_samples_a_turn_are_fitted_over_many_turns(samples):
         assert abs(fitted.amplitude[order - 1] - amplitude) < 4 * expected
 
 
+def test_cells_of_a_fitted_series_hold_means_over_their_width():
+    angle = 0.37 + np.arange(6000) / 100.3
+    torque = 0.2 * np.cos(2 * np.pi * 24 * angle + 0.5)
+    found = find_turns(np.arange(6000) / 1000, angle, torque, POSITIONS)
+    left, right = np.arange(POSITIONS) / POSITIONS, (np.arange(POSITIONS) + 1) / POSITIONS
+    wave = [np.sin(2 * np.pi * 24 * edge + 0.5) / (2 * np.pi * 24) for edge in (left, right)]
+    means = 0.2 * (wave[1] - wave[0]) * POSITIONS
+    np.testing.assert_allclose(found.torque, np.tile(means, (len(found.torque), 1)), atol=1e-6)
+
+
 @pytest.mark.parametrize("start", [-57.6, 57.6])
 @pytest.mark.parametrize("way", [1, -1])
 def test_each_fit_holds_turns_of_its_own(start, way):

@@ -1,5 +1,6 @@
 """Ripple of the virtual rig, from recipe to spectra and back from the file."""
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -247,3 +248,32 @@ def test_heat_of_the_winding_and_the_loop_are_taken_off_the_amplitudes(folder):
     slope_part = 1e-4 * (degc - 20) / factor
     assert parts["temperature coefficient"] == pytest.approx(slope_part, rel=0.03, abs=0)
     assert {"scatter", "heat of the winding"} <= set(parts)
+
+
+def test_recordings_hold_their_turns_at_constant_speed():
+    """And one more, as turns are cut at the encoder's zero."""
+    settings = (
+        "fft_ripple.speeds=[3, 30]",
+        "fft_ripple.torques=[0.01, 0.05]",
+        "fft_ripple.power_cycles=2",
+        "fft_ripple.slow_speed_rev_per_s=0.5",
+        "fft_ripple.revolutions=20",
+    )
+    specs = {spec.name: spec for spec in fft_ripple.recordings(load_recipe(RECIPE, settings)[0])}
+    slow = math.pi
+    expected = {
+        "speed_000": {"speed": 3.0},
+        "speed_001": {"speed": 30.0},
+        "torque_000": {"speed": slow, "torque": 0.01},
+        "torque_001": {"speed": slow, "torque": 0.05},
+        "power_cycle_000": {"speed": slow, "power_cycle": 0.0},
+        "power_cycle_001": {"speed": slow, "power_cycle": 1.0},
+    }
+    assert list(specs) == list(expected)
+    for name, given in expected.items():
+        found = {key: value for key, (value, _) in specs[name].conditions.items()}
+        begin, end = found.pop("steady_from"), found.pop("steady_until")
+        assert found == pytest.approx(given)
+        run_up = given["speed"] / fft_ripple.ACCELERATION
+        assert begin == pytest.approx(run_up + fft_ripple.SETTLE_TIME)
+        assert 21 < (end - begin) * given["speed"] / (2 * math.pi) < 21.5

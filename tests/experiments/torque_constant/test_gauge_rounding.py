@@ -78,3 +78,7 @@ def test_errors_are_those_of_the_mean_of_noisy_readings_that_are_rounded(ratio):
     stairs = SimpleNamespace(resolution=step, noise=scatter, weight=1.0)
     found = rounding_errors(stairs, torque[None])[:, 0]
     assert_allclose(found, exact, rtol=0, atol=0.05 * np.abs(exact).max())
+    # plateaus that a shorter staircase does not have are not read
+    stairs.weight = (np.arange(23) < 20) * 1.0
+    assert_allclose(rounding_errors(stairs, torque[None])[:, 0, :20], found[:, :20])
+    assert_allclose(rounding_errors(stairs, torque[None])[:, 0, 20:], 0)

@@ -11,7 +11,7 @@ import pytest
 from rigtool.errors import RunFileError
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
-from rigtool.experiments.torque_constant.imported import _results
+from rigtool.experiments.torque_constant.imported import _median_duration, _results
 from rigtool.experiments.torque_constant.procedure import PROCEDURE
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.runfile import open_run
@@ -54,6 +54,11 @@ def test_a_force_on_an_arm_gives_a_constant_for_other_commands(tmp_path):
     with open_run(tmp_path / "kt.h5") as run:
         mean = torque_per_ampere(run)
     assert mean.value == outcome.results["torque_constant_mean"].value
+
+
+def test_the_time_of_a_plateau_is_that_of_most():
+    setpoint = np.repeat([0.0, 1.0, 2.0, 1.0], [5, 3, 3, 4])
+    assert _median_duration(0.5 * np.arange(15), setpoint) == pytest.approx(3.5 * 0.5)
 
 
 def test_results_have_the_lines_of_fit_curvature_and_sensor():

@@ -207,6 +207,8 @@ def test_what_is_taken_off_the_mean_course_as_noise_can_be_put_back():
     every = [np.tile(values, (8, 1)) for values in (one.setpoint, one.torque, one.part * PARTS)]
     found = mean_courses(*every[:2], course, every[2], np.zeros(8), noise=0.05)
     assert_allclose(np.std(found.dropped), 0.05 / np.sqrt(8), rtol=0.3)
+    # of noise in the mean of eight, one way to swing keeps its part
+    assert_allclose(found.noise, 0.05 / np.sqrt(8) * np.sqrt((5 + PARTS) / (5 * PARTS)), rtol=1e-9)
     assert_allclose(found.with_noise().course[0], course.mean(axis=0), atol=1e-12)
 
 

@@ -601,6 +601,17 @@ def test_the_line_of_levels_that_lie_on_it_is_as_uncertain_as_repeats_scatter():
     assert_allclose(found.offset_u, line.intercept_stderr * part, rtol=1e-6)
 
 
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+def test_levels_are_those_of_the_set_point_in_any_unit(unit):
+    setpoint = np.repeat(np.array([0.0, 1.0, 2.0, 4.0]), 6)
+    setpoint += 1e-3 * np.tile([0.0, 0.5, 1.0, 0.2, 0.1, 0.7], 4)  # within the tolerance
+    found = amplifier_linearity(
+        SimpleNamespace(current_setpoint=unit * setpoint, current=2 * setpoint)
+    )
+    assert len(found.current_setpoint) == 4
+    assert_allclose(found.gain, 2 / unit, rtol=1e-9)
+
+
 def test_linearity_finds_the_worst_level():
     bench = Bench(cubic=1e-3)
     plateaus = plateaus_of_set_point(**bench.record((20, 30), 3), arm_length=0.54, settle_time=0.08)
