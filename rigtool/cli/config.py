@@ -12,7 +12,7 @@ def command() -> None:
     \b
     recipe = "rig.toml"        SOURCE of the commands that measure
     kt = "runs/kt.h5"          --kt, and the output of calibrate-kt
-    tables = "runs/tables.h5"  --tables of measure-force, and the output of ilc-learn
+    tables = "runs/tables.h5"  --tables, and the output of ilc-learn
     output = "runs"            folder of all other outputs, COMMAND.h5
 
     Names are relative to this folder. An option on the command line takes precedence.

@@ -67,7 +67,7 @@ def command(
     A         turns at one speed; amplitude and phase by speed; needs --friction
     B         turns at -5 to 5 rev/s: by position and speed, friction included
     C         moves to and fro on a limited angle: by position and speed
-    D         as C, then lifts known loads: by load, too, for measure-force --correction
+    D         as C, and by load: lifts known loads, for measure-force --correction
     standard  repeats one move: by time
 
     Then repeats the motion with the learned table switched on and reports what remains. A and B

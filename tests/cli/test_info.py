@@ -7,9 +7,9 @@ from click.testing import CliRunner
 
 from rigtool.cli.info import command
 from rigtool.errors import UsageError
-from rigtool.quantity import Quantity
+from rigtool.quantity import Component, Quantity
 from rigtool.runfile import open_run
-from rigtool.runfile.summary import result_lines
+from rigtool.runfile.summary import budget_lines, folded, result_lines
 from tests.runfile.whole_run import SIZE, write
 
 
@@ -127,6 +127,31 @@ def test_budget(path):
     document = json.loads(shown("torque_constant", "--json"))
     assert document["results"]["torque_constant"]["dof"] == 12.0
     assert "no uncertainty: from the drawing" in shown("arm_length")
+
+
+def test_a_terminal_s_width_folds_lines_and_loses_no_word():
+    lines = ["Notes", "", "  " + "torque was learned up to 60 mN m; " * 5, "  short"]
+    found = folded(lines, 80)
+    assert max(map(len, found)) <= 80
+    assert [*" ".join(found).split()] == " ".join(lines).split()
+    assert found[3].startswith("      ")
+    assert folded(lines, None) == lines
+
+
+def test_a_wide_budget_fits_a_terminal_and_keeps_its_numbers():
+    slope = Component(
+        "friction and resolution in the slope", -5.3171e-05, "N m/(A K)", 9e-8, None, 7.4
+    )
+    arm = Component("arm length", 0.54, "m", 0.2e-3, 14.0, 0.0841)
+    result = Quantity(0.045405, "N m/A", 2.2e-5, 8460.0, budget=(slope, arm))
+    assert max(map(len, budget_lines("mean", result))) > 80
+    _, titles, *lines = budget_lines("mean", result, 80)
+    assert max(map(len, lines)) <= 80
+    assert titles.split() == ["component", "value", "u", "unit", "adds", "dof", "share"]
+    assert lines[0].split()[-7:] == ["0.54", "0.0002", "m", "1.7e-05", "14", "99.8", "%"]
+    names = " ".join(line[: titles.index("value") - 6] for line in lines[1:-1]).split()
+    assert "-5.3171e-05" in lines[1]
+    assert [word for word in names if word.isalpha()] == slope.name.split()
 
 
 def test_plot(path, tmp_path):
