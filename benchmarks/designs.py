@@ -109,14 +109,14 @@ def true_constants(recipe: Recipe) -> dict[str, float]:
     errors = [mean / (1 + slope * (end - 20)) - 1 for end in (low, high)]
     table = rotor_map(virtual, virtual.amplifier, virtual.power_cycle)[:-1]
     heat, middle = virtual.thermal, float(np.mean(settings.temperatures_degc)) - 20
-    # The slope of i + i (g + s i) is 1 + g + s span from zero to the span, of true current.
-    span = virtual.amplifier.gain * settings.current_max
+    # The slope of i + i (g + s i) is 1 + g + s top from zero to the top, of true current.
+    top = virtual.amplifier.offset + virtual.amplifier.gain * settings.current_max
     return {
         "torque_constant": at_20,
         "torque_constant_temperature_coefficient": slope,
         "torque_constant_mean": at_20 * mean,
         "torque_constant_constant_error": max(map(abs, errors)),
-        "torque_constant_ripple": float(np.std(table[:, 1] + span * table[:, 2])),
+        "torque_constant_ripple": float(np.std(table[:, 1] + top * table[:, 2])),
         "amplifier_gain": virtual.amplifier.gain,
         "amplifier_offset": virtual.amplifier.offset,
         "winding_heat_loss": -slope
