@@ -67,7 +67,7 @@ def changes(tables: Run, kt: Run, model: ForceModel) -> tuple[float, float, list
     if moved := _difference(tables, CONSTANT, now) / now.value:
         share = abs(moved)
         notes.append(
-            f"{kt.path} states a torque constant that differs by {moved:+.2%} from that "
+            f"{kt.path} states a torque constant that differs by {100 * moved:+.2f} % from that "
             f"which {tables.path} was learned with: u is wider by this share of the torque, as "
             "either may be wrong; learn again with this calibration"
         )

@@ -91,9 +91,9 @@ def of_this_instrument(
         notes.append(
             f"friction of {found.size * 1e3:.3g} mN m opposes motion in both directions and "
             f"{tables.path} does not hold: u is wider by {found.widening * 1e3:.3g} mN m, and by "
-            f"{gain:.1%} of the torque, since friction and load may both be read too large or too "
-            "small; the encoder was zeroed elsewhere, or the instrument or the torque constant has "
-            "changed: learn again"
+            f"{100 * gain:.1f} % of the torque, since friction and load may both be read too "
+            "large or too small; the encoder was zeroed elsewhere, or the instrument or the torque "
+            "constant has changed: learn again"
         )
     return [replace(r, parts=tuple(p.widened(by, share) for p in r.parts)) for r in read], notes
 
@@ -122,8 +122,8 @@ def _of_loads(
         )
     if hand is not None and (part := driven_part(forms[0], hand)):
         notes.append(
-            f"in {part:.0%} of the passes a torque drives the rotor by more than "
-            f"{HAND_PART_OF_FRICTION:.0%} of its friction: a hand moves the rig, or the current "
-            "that was recorded is too small or not all of the motor's"
+            f"in {100 * part:.0f} % of the passes a torque drives the rotor by more than "
+            f"{100 * HAND_PART_OF_FRICTION:.0f} % of its friction: a hand moves the rig, or the "
+            "current that was recorded is too small or not all of the motor's"
         )
     return notes
