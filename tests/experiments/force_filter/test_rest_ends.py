@@ -3,6 +3,7 @@
 import itertools
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -33,3 +34,27 @@ def test_a_rest_lasts_within_two_counts_and_ends_where_they_are_left(moves):
         before > limit > now or now > limit >= before for before, now in itertools.pairwise(long)
     ]
     assert found == wanted
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_rest_is_as_long_as_the_rotor_stays_within_two_counts(seed):
+    """Back to where the angle was in a third one; it ends where that many steps are no longer."""
+    rng, span = np.random.default_rng(seed), 0.25
+    moves = rng.choice([-2, -1, 0, 1, 2], 400, p=[0.03, 0.2, 0.54, 0.2, 0.03])
+    place, state = np.append(0, np.cumsum(moves)), np.zeros(1, dtype=STATE)
+
+    def lasting(k):
+        longest = 0
+        for other in (1, -1):
+            steps = 0
+            while steps < k and place[k - steps - 1] in (place[k], place[k] + other):
+                steps += 1
+            longest = max(longest, steps)
+        return longest
+
+    found = [bool(leaves_rest(state[0], move * WIDTH, WIDTH, span)) for move in moves]
+    limit = rest_steps(span)
+    assert limit == 4
+    expected = [lasting(k) > limit > lasting(k + 1) for k in range(400)]
+    assert found == expected
+    assert sum(found) > 5

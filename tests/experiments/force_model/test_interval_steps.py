@@ -61,9 +61,9 @@ def test_the_least_score_is_searched_within_its_range(least):
 def least_of(errors, deviation, torque, free, expected):
     """Factor by errors without load and share by all, on a fine grid."""
     e, load = np.abs(errors / deviation), np.abs(torque / deviation)
-    grid = np.exp(np.linspace(math.log(FACTORS[0]), math.log(FACTORS[1]), 1500))
+    grid = np.exp(np.linspace(math.log(FACTORS[0]), math.log(FACTORS[1]), 600))
     c = min(grid, key=lambda c: _score(e[free], np.full(free.sum(), c), expected, c))
-    shares = np.exp(np.linspace(math.log(1e-4), 0, 1500))
+    shares = np.exp(np.linspace(math.log(1e-4), 0, 600))
     g = min(shares, key=lambda g: _score(e, np.hypot(c, g * load)))
     return c, g
 

@@ -22,9 +22,11 @@ from rigtool.experiments.force_model.rest import (
     ROW_ERROR,
     ROWS_HZ,
     SHARES,
+    UNTOUCHED_RANDOM_WALK,
     Exploration,
     RestProblem,
     TurnsProblem,
+    held,
     plant_is_sound,
 )
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
@@ -225,3 +227,11 @@ def test_frictions_and_inertia_are_above_zero():
     assert plant_is_sound(SimpleNamespace(**sound))
     for name in names:
         assert not plant_is_sound(SimpleNamespace(**{**sound, name: 0.0}))
+
+
+def test_while_learning_hardly_any_torque_acts_and_each_step_uses_its_whole_count():
+    found = held(UNCERTAINTY)
+    for name in ("torque_rate", "slow_torque_rate", "step_torque_rate"):
+        assert getattr(found, name) == UNTOUCHED_RANDOM_WALK
+    assert found.repeats == 1.0
+    assert found.friction_noise == UNCERTAINTY.friction_noise

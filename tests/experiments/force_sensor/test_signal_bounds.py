@@ -206,3 +206,17 @@ def test_faults_come_in_order_of_time():
     assert len(found) == 2
     assert found[0].start < found[1].start
     assert "leaps" in found[1].text
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize(("gap", "seen"), [(1e-3, True), (0.15, False)])
+def test_the_step_that_counts_is_that_from_the_end_to_the_next_value(side, gap, seen):
+    """Whatever lies behind that one: here a single sample, far from all others."""
+    encoder = np.floor(200 * TIME)
+    current = 0.3 * np.sin(2 * np.pi * 0.7 * TIME) + NOISE
+    alone = current.max() + 0.151 - gap
+    end = alone + gap
+    current[610] = alone
+    for number in range(7):
+        current[1000 * number + 200 : 1000 * number + 220] = end
+    assert bool(faults(encoder, side * current)) == seen
