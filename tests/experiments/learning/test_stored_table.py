@@ -41,11 +41,10 @@ def test_the_band_of_a_table_is_that_of_the_recipe_or_of_the_one_speed_it_was_le
     with open_run(TABLES) as tables:
         settings = tables.recipe.ilc_learn
         assert _band(tables) == (settings.robustness_hz, None)
-        lowest = min(settings.turning.speeds_rev_per_s)
         one = SimpleNamespace(
-            recipe=tables.recipe,
+            recipe=override_recipe(tables.recipe, ["ilc_learn.turning.speeds_rev_per_s=[0.5, 2]"]),
             results={"learning_cutoff": None},
             result=lambda name, unit: Quantity(20.0, unit, reason="stated"),
         )
-        assert _band(one) == (20.0, pytest.approx(2 * math.pi * lowest))
+        assert _band(one) == (20.0, pytest.approx(math.pi))
         assert _band(SimpleNamespace(recipe=None)) == (None, None)
