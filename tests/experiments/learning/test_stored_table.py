@@ -42,7 +42,13 @@ def test_the_band_of_a_table_is_that_of_the_recipe_or_of_the_one_speed_it_was_le
         settings = tables.recipe.ilc_learn
         assert _band(tables) == (settings.robustness_hz, None)
         one = SimpleNamespace(
-            recipe=override_recipe(tables.recipe, ["ilc_learn.turning.speeds_rev_per_s=[0.5, 2]"]),
+            recipe=override_recipe(
+                tables.recipe,
+                [
+                    "ilc_learn.turning.speeds_rev_per_s=[0.5, 2]",
+                    "ilc_learn.turning.low_speeds_rev_per_s=[0.1]",
+                ],
+            ),
             results={"learning_cutoff": None},
             result=lambda name, unit: Quantity(20.0, unit, reason="stated"),
         )
