@@ -77,11 +77,11 @@ def test_currents_below_zero_are_turned_over(monkeypatch, sign):
     )
     given = {}
     monkeypatch.setattr(imported, "plateaus_of_set_point", lambda **kwargs: given.update(kwargs))
-    course = Course(0.1 * np.arange(250), sign * level + 0.01, sign * 0.05 * level)
+    course = Course(0.1 * np.arange(250), sign * level - 0.01, sign * 0.05 * level)
     _plateaus(recording, course, by_setpoint=True)
     np.testing.assert_array_equal(given["current_setpoint"], level)
     np.testing.assert_allclose(given["force"], 0.1 * level)
-    np.testing.assert_allclose(given["current"], level + sign * 0.01)
+    np.testing.assert_allclose(given["current"], level - sign * 0.01)
     assert given["arm_length"] == 0.5
     # the part of a plateau that settles is that of the bench
     bench = CalibrateKt()
