@@ -65,7 +65,8 @@ def test_the_time_of_a_plateau_is_that_of_most():
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_currents_below_zero_are_turned_over(monkeypatch, sign):
+@pytest.mark.parametrize("offset", [0.01, -0.01])
+def test_currents_below_zero_are_turned_over(monkeypatch, sign, offset):
     """So that a staircase rises first, whatever the sign of its current."""
     level = np.repeat([0.0, 1.0, 2.0, 1.0, 0.0], 50)
     signals = {"current_setpoint": sign * level, "force": sign * 0.1 * level}
@@ -77,11 +78,11 @@ def test_currents_below_zero_are_turned_over(monkeypatch, sign):
     )
     given = {}
     monkeypatch.setattr(imported, "plateaus_of_set_point", lambda **kwargs: given.update(kwargs))
-    course = Course(0.1 * np.arange(250), sign * level - 0.01, sign * 0.05 * level)
+    course = Course(0.1 * np.arange(250), sign * level + offset, sign * 0.05 * level)
     _plateaus(recording, course, by_setpoint=True)
     np.testing.assert_array_equal(given["current_setpoint"], level)
     np.testing.assert_allclose(given["force"], 0.1 * level)
-    np.testing.assert_allclose(given["current"], level - sign * 0.01)
+    np.testing.assert_allclose(given["current"], level + sign * offset)
     assert given["arm_length"] == 0.5
     # the part of a plateau that settles is that of the bench
     bench = CalibrateKt()
