@@ -58,7 +58,7 @@ def margins(open_loop: Response, half_rate_hz: float) -> Margins:
         if -1 < at(f).real < 0
     ]
     level = _crossings(lambda f: abs(at(f)) - 1, grid, np.abs(response) - 1)
-    phases = [abs(math.remainder(np.angle(at(f)) - math.pi, 2 * math.pi)) for f in level]
+    phases = [math.pi - abs(float(np.angle(at(f)))) for f in level]
     closed = np.abs(response / (1 + response)) - math.sqrt(0.5)
     band = _crossings(lambda f: abs(at(f) / (1 + at(f))) - math.sqrt(0.5), grid, closed)
     return Margins(

@@ -7,6 +7,7 @@ import pytest
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_filter.motion_states import State
+from rigtool.experiments.imported_load import learning
 from rigtool.experiments.imported_load.learning import (
     _folds,
     _friction,
@@ -190,3 +191,27 @@ def test_friction_by_load_is_half_of_what_slopes_of_both_directions_differ_by():
     means = [f * (1 + found.mu) for f in (0.98, 1.0, 1.02)]
     folds = np.array([(up - (1 - found.mu)) / (up + (1 - found.mu)) for up in means])
     np.testing.assert_allclose(found.u, np.std(folds, axis=0) * np.sqrt(2), rtol=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("frequencies", "zeros", "several"),
+    [((0.2,), (0.0,), False), ((0.15, 0.3), (0.0,), True), ((0.2,), (0.0, 40.0), True)],
+)
+def test_speeds_are_compared_where_several_or_other_strokes_were_learned(
+    monkeypatch, frequencies, zeros, several
+):
+    class LearnedError(Exception):
+        pass
+
+    def region(*values, several):
+        raise LearnedError(several)
+
+    monkeypatch.setattr(learning, "learn_region", region)
+    made = [
+        one
+        for zero in zeros
+        for one in observations(loads=(0.02, 0.05, 0.08), frequencies=frequencies, zero=zero)
+    ]
+    with pytest.raises(LearnedError) as found:
+        learn_load_model(made)
+    assert found.value.args == (several,)

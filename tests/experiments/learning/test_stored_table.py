@@ -1,11 +1,14 @@
 """How far a stored table reaches, against the motion that `measure-force` asks for."""
 
+import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from rigtool.errors import RunFileError
-from rigtool.experiments.learning.stored_table import require_same_rig
+from rigtool.experiments.learning.stored_table import _band, require_same_rig
+from rigtool.quantity import Quantity
 from rigtool.recipe import override_recipe
 from rigtool.runfile import open_run
 
@@ -32,3 +35,22 @@ def test_motions_beyond_the_learned_ones_are_refused(setting, message):
         recipe = override_recipe(tables.recipe, [f"measure_force.{setting}"])
         with pytest.raises(RunFileError, match=message):
             require_same_rig(tables, recipe)
+
+
+def test_the_band_of_a_table_is_that_of_the_recipe_or_of_the_one_speed_it_was_learned_at():
+    with open_run(TABLES) as tables:
+        settings = tables.recipe.ilc_learn
+        assert _band(tables) == (settings.robustness_hz, None)
+        one = SimpleNamespace(
+            recipe=override_recipe(
+                tables.recipe,
+                [
+                    "ilc_learn.turning.speeds_rev_per_s=[0.5, 2]",
+                    "ilc_learn.turning.low_speeds_rev_per_s=[0.1]",
+                ],
+            ),
+            results={"learning_cutoff": None},
+            result=lambda name, unit: Quantity(20.0, unit, reason="stated"),
+        )
+        assert _band(one) == (20.0, pytest.approx(math.pi))
+        assert _band(SimpleNamespace(recipe=None)) == (None, None)

@@ -16,6 +16,7 @@ from rigtool.experiments.ripple.orders import (
     cell_centres,
     cells_for,
     compare,
+    neighbours_floor,
     remove_offset,
     spectrum,
 )
@@ -345,3 +346,13 @@ def test_an_encoder_that_leaps_fills_no_memory():
     turns = np.where(time < 50, 0.01 * time, 1e24)
     with pytest.raises(InsufficientDataError, match=r"1e\+24 times in 99 samples.*encoder leaps"):
         collected.add(time, turns, np.ones(100))
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 40])
+def test_the_floor_beside_an_order_is_that_of_the_ten_on_either_side(count):
+    amplitude = np.random.default_rng(count).rayleigh(size=count)
+    found = neighbours_floor(amplitude)
+    for k in range(count):
+        beside = [amplitude[j] for j in range(count) if j != k and abs(j - k) <= 10]
+        expected = np.median(beside) / np.sqrt(np.log(2)) if beside else 0.0
+        assert found[k] == pytest.approx(expected, rel=1e-12)

@@ -206,7 +206,7 @@ def test_a_current_goes_one_way_between_turns_beyond_the_band():
 @pytest.mark.parametrize("kind", ["staircase", "ramp"])
 def test_units_of_current_and_torque_change_nothing_else(kind):
     _, recorded = draw(kind, 4)
-    amperes, unit = 16.0, 0.25
+    amperes, unit = 16.0, 2.0**-20
     moved = replace(recorded, current=amperes * recorded.current, torque=unit * recorded.torque)
     one, other = (fit_constant([find_points(each)]) for each in (recorded, moved))
     size = unit / amperes

@@ -11,9 +11,12 @@ import pytest
 from rigtool.errors import RunFileError
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
-from rigtool.experiments.torque_constant.imported import _median_duration, _results
+from rigtool.experiments.torque_constant import imported
+from rigtool.experiments.torque_constant.current_levels import Course
+from rigtool.experiments.torque_constant.imported import _median_duration, _plateaus, _results
 from rigtool.experiments.torque_constant.procedure import PROCEDURE
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.recipe.commands import CalibrateKt
 from rigtool.runfile import open_run
 from tests.experiments.imported_runs import crossed, take
 from tests.experiments.torque_constant.test_current_levels import draw
@@ -59,6 +62,32 @@ def test_a_force_on_an_arm_gives_a_constant_for_other_commands(tmp_path):
 def test_the_time_of_a_plateau_is_that_of_most():
     setpoint = np.repeat([0.0, 1.0, 2.0, 1.0], [5, 3, 3, 4])
     assert _median_duration(0.5 * np.arange(15), setpoint) == pytest.approx(3.5 * 0.5)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("offset", [0.01, -0.01])
+def test_currents_below_zero_are_turned_over(monkeypatch, sign, offset):
+    """So that a staircase rises first, whatever the sign of its current."""
+    level = np.repeat([0.0, 1.0, 2.0, 1.0, 0.0], 50)
+    signals = {"current_setpoint": sign * level, "force": sign * 0.1 * level}
+    recording = SimpleNamespace(
+        has=signals.__contains__,
+        read=signals.__getitem__,
+        conditions={"arm_length": 0.5},
+        condition=lambda name: 0.5,
+    )
+    given = {}
+    monkeypatch.setattr(imported, "plateaus_of_set_point", lambda **kwargs: given.update(kwargs))
+    course = Course(0.1 * np.arange(250), sign * level + offset, sign * 0.05 * level)
+    _plateaus(recording, course, by_setpoint=True)
+    np.testing.assert_array_equal(given["current_setpoint"], level)
+    np.testing.assert_allclose(given["force"], 0.1 * level)
+    np.testing.assert_allclose(given["current"], level + sign * offset)
+    assert given["arm_length"] == 0.5
+    # the part of a plateau that settles is that of the bench
+    bench = CalibrateKt()
+    expected = bench.settle_time / bench.step_time * 5.0
+    assert given["settle_time"] == pytest.approx(expected)
 
 
 def test_results_have_the_lines_of_fit_curvature_and_sensor():

@@ -518,6 +518,29 @@ def test_a_staircase_that_was_broken_off_counts_as_far_as_it_went():
     assert_allclose(other.heating, one.heating, rtol=0.2)
 
 
+@pytest.mark.parametrize("unit", [1.0, 64.0])
+def test_components_add_up_to_the_u_of_the_mean_where_the_slope_has_no_part(unit):
+    """At the mean temperature of the staircases; four angles may hide ripple."""
+    bench = Bench(force_noise=2e-3)
+    signals = bench.record((20, 50), angles=4, shifted=False)
+    signals["force"] = unit * signals["force"]
+    plateaus = plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08)
+    centre = _fit_temperature(fit_staircases(plateaus)).temperature
+    own = {"thermometer_u": 0.5, "current_reading_relative_u": 1e-3, "gauge_linearity": 1e-3}
+    found = calibrate(
+        plateaus,
+        arm_length=0.54,
+        **ARM | own | {"reference_range_degc": (centre - 5, centre + 5)},
+    )
+    relative = found.mean.u / found.mean.value
+    assert_allclose(math.hypot(*found.components.values()), relative, rtol=1e-6)
+    assert_allclose(found.components["thermometer"], 0.5 * 1.16e-3, rtol=0.1)
+    assert_allclose(found.components["arm length"], 0.2e-3 / 0.54, rtol=1e-9)
+    assert min(found.components["scatter"], found.components["ripple over rotor angles"]) > 1e-5
+    hidden = found.components["ripple that few angles hide"]
+    assert_allclose(hidden**2 + found.components["ripple over rotor angles"] ** 2, 5e-3**2)
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize(("off", "refused"), [(0.98, False), (1.02, True)])
 def test_an_amplifier_is_straight_within_a_part_of_the_span_or_four_u(sign, off, refused):

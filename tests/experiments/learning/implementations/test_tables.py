@@ -1,6 +1,7 @@
 """Where tables of a range and of one speed lie, and what they are between their entries."""
 
 import math
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -78,3 +79,34 @@ def test_a_map_of_one_speed_is_the_same_at_all_speeds_and_fades_towards_rest():
     inside = table.covers(np.zeros(4), 2 * math.pi * np.array([-5.0, 5.0, -5.1, 5.1]))
     assert inside.tolist() == [True, True, False, False]
     assert table.period == pytest.approx(2 * math.pi)
+
+
+def test_at_other_speeds_q_is_cut_off_where_the_same_orders_are(monkeypatch):
+    """But not below that of learning."""
+    made = a_one_speed.OneSpeed.__new__(a_one_speed.OneSpeed)
+    made.recipe = load_recipe(RECIPE, ("rig.encoder_counts=100",))[0]
+    turned = [SimpleNamespace(speed=speed) for speed in (-2.0, 2.0, 6.0, 12.0)]
+    cutoffs = []
+
+    def learned(item, learning, counts, *, first):
+        cutoffs.append(learning.cutoff_hz)
+        assert (counts, first) == (100, True)
+        return item
+
+    table = SimpleNamespace(speed=np.ones(4), low_speed=np.array([0.0, 1.0]))
+    monkeypatch.setattr(a_one_speed.OneSpeed, "learning", Cut(30.0))
+    monkeypatch.setattr(a_one_speed.OneSpeed, "turned", lambda self, others: others)
+    monkeypatch.setattr(a_one_speed, "_ripple", lambda item: item)
+    monkeypatch.setattr(a_one_speed, "learned_by", learned)
+    monkeypatch.setattr(a_one_speed, "tune", lambda row, rows: rows)
+    monkeypatch.setattr(a_one_speed, "written_out", lambda angles, row, rows: (table, None))
+    row = SimpleNamespace(speed=4.0, dof=9)
+    found = made.finish(SimpleNamespace(row=row, history=[]), turned)
+    assert cutoffs == [30.0, 30.0, 45.0, 90.0]
+    assert found.tuning == found.others == turned
+    np.testing.assert_array_equal(found.dof, 9)
+
+
+@dataclass(frozen=True)
+class Cut:
+    cutoff_hz: float
