@@ -133,6 +133,11 @@ def model_tables(model: LoadModel, effort_unit: str) -> dict[str, Table]:
                     "1",
                     "factor on uncertainty, for strokes at other places",
                 ),
+                "between": (
+                    [side.between for side in sides],
+                    "1",
+                    "the same at other speeds, where two were learned",
+                ),
             },
             "scatter",
             "scatter beside the model",
@@ -170,6 +175,15 @@ def model_tables(model: LoadModel, effort_unit: str) -> dict[str, Table]:
             },
             "middle",
             "places of the strokes that were learned",
+        ),
+        "_paces": _table(
+            "pace",
+            {
+                "pace": (np.arange(len(model.paces)), "1"),
+                "speed": (model.paces, "rad/s", "root mean square, of the motor"),
+            },
+            "speed",
+            "speeds of the strokes, where two were learned",
         ),
         "_noise": _table(
             "octave",
@@ -229,6 +243,7 @@ def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
             *("_factors", "_region", "_noise", "_loop"),
         )
     )
+    paces = tables.get(MODEL_TABLE + "_paces")  # none in older tables
     sides = []
     for number, sign in enumerate(SIDE_SIGNS):
         where = np.flatnonzero(terms["sign"] == sign)
@@ -246,6 +261,7 @@ def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
                 factors=factors["factor"][own],
                 slope=float(scatter["slope"][number]),
                 elsewhere=float(scatter["elsewhere"][number]),
+                between=float(scatter["between"][number]) if "between" in scatter.columns else 1.0,
             )
         )
     model = LoadModel(
@@ -261,6 +277,7 @@ def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
             loop["mean"], loop["shape"], float(loop["offset"][0]), int(loop["recordings"][0])
         ),
         slack=float(scales["slack"][0]),
+        paces=paces["speed"] if paces is not None else np.empty(0),
         noise=LearnedNoise(noise["lowest"], noise["highest"], float(noise["rounding"][0])),
     )
     return model, scales.columns["effort"].unit
