@@ -229,6 +229,12 @@ def _require_inside(measured: Sequence[Measured], model: LoadModel) -> list[str]
             f"strokes of {elsewhere} runs are at places of which none was learned: u is wider, up "
             f"to {factor:.2g} times, as strokes show that were left out of learning"
         )
+    between = sum(model.between(item.signals.path) for item in measured)
+    if between and (factor := max(side.between for side in model.sides)) > 1:
+        notes.append(
+            f"strokes of {between} runs have speeds of which none was learned: u is wider, up to "
+            f"{factor:.2g} times, as leaving out either of two learned speeds shows"
+        )
     noisier = [item.estimate.noisier for item in measured]
     if max(noisier) > LEAST_NOISIER:
         count = sum(one > LEAST_NOISIER for one in noisier)

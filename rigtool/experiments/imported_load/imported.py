@@ -114,8 +114,9 @@ def _notes(learned: LearnedEffort, recordings: int) -> list[str]:
         )
     if learned.paces == 2:
         notes.append(
-            "recorded at two speeds: none can be left out, so u does not state what errors are "
-            "between them; record at three speeds or more"
+            "recorded at two speeds, none of which is between others: at other speeds u is wider, "
+            f"up to {max(side.between for side in model.sides):.2g} times, by what leaving out "
+            "either shows; record at three speeds or more"
         )
     return notes
 

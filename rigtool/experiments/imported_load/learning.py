@@ -21,10 +21,12 @@ from rigtool.experiments.force_filter.motion_states import LARGEST_LEARNED_RATIO
 from rigtool.experiments.imported_load.basis import LoadSignals, Scales, find_scales
 from rigtool.experiments.imported_load.loop import learn_loop
 from rigtool.experiments.imported_load.model import (
+    APART_SPEED,
     APART_STROKE,
     SIDE_SIGNS,
     LoadModel,
     Side,
+    pace_of,
     stroke_of,
 )
 from rigtool.experiments.imported_load.noise import learned_noise
@@ -55,9 +57,6 @@ MIN_LEVEL_DISTANCE = 0.02
 ONE_LEVEL = 0.1
 """Part of the highest load within which recordings are repeats of one load, whatever gaps they
 have: differences of that size do not show how effort grows with load."""
-
-APART_SPEED = 0.1
-"""Part of the highest speed by which speeds differ, at least."""
 
 FEWEST_LEFT = 3
 """Levels without the last that show how well the model holds beyond them, at least."""
@@ -158,8 +157,11 @@ def learn_load_model(
         effort_scale = prior.effort_scale
     rows = [replace(one, effort=one.effort / effort_scale) for one in rows]
     priors = (None, None) if prior is None else prior.sides
+    two = pace.max() == 1
     found = [
-        _fit(own, folds, levels, pace, before).model(_inner(stroke[own.recording]))
+        _fit(own, folds, levels, pace, before).model(
+            _inner(stroke[own.recording]), pace[own.recording] if two else None
+        )
         for own, before in zip(rows, priors, strict=True)
     ]
     sides, held = [side for side, _ in found], [out for _, out in found]
@@ -185,6 +187,7 @@ def learn_load_model(
         ),
         loop=learn_loop(place, speed > 0, measured, recording),
         noise=learned_noise([item.noise.by(effort_scale) for item in signals]),
+        paces=_two_paces(signals, pace) if two else np.empty(0),
     )
     model = replace(model, slack=_slack(model, signals, level))
     against = direction * speed > 0
@@ -312,9 +315,13 @@ def _friction(
 
 def _paces(signals: Sequence[LoadSignals]) -> Numbers:
     """Return the number of the speed of each recording, the slowest first."""
-    speeds = [item.path.speed[item.path.regular] for item in signals]
-    sizes = [float(np.sqrt(np.mean(own**2))) if own.size else 0.0 for own in speeds]
-    return np.array(level_numbers(sizes, APART_SPEED))
+    return np.array(level_numbers([pace_of(item.path) for item in signals], APART_SPEED))
+
+
+def _two_paces(signals: Sequence[LoadSignals], pace: Numbers) -> Array:
+    """Return the mean speeds (2,), rad/s, of recordings at two, see `pace_of`."""
+    every = np.array([pace_of(item.path) for item in signals])
+    return np.array([every[pace == number].mean() for number in (0, 1)])
 
 
 def _strokes(signals: Sequence[LoadSignals]) -> tuple[Array, Numbers]:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,9 @@ SIDE_SIGNS = (1, -1)
 FLAT_SLOPE = 0.25
 """Where the slope of effort by torque is below this part of the usual one in its direction, such as
 after a reversal, friction hides the load as it does at standstill."""
+
+APART_SPEED = 0.1
+"""Part of the highest speed by which speeds of strokes differ, at least."""
 
 APART_STROKE = 0.1
 """Part of a stroke by which the middles of strokes at different places differ, at least."""
@@ -98,7 +101,7 @@ class Side:
     of the scatter's variance: constant, by the logarithm of speed, by torque; `factors` (l,)
     multiply uncertainties at torques `levels` (l,), which rise; between two they go in a line.
     `slope` is the usual one of effort by torque; `elsewhere` multiplies u of strokes at a place of
-    which none was learned.
+    which none was learned, `between` that of strokes at other speeds where two were learned.
     """
 
     groups: tuple[str, ...]
@@ -109,6 +112,7 @@ class Side:
     factors: Array
     slope: float
     elsewhere: float = 1.0
+    between: float = 1.0
 
     def factor(self, torque: Array) -> Array:
         """Return the factor on uncertainties at torques (n,)."""
@@ -132,7 +136,8 @@ class Side:
 
 @dataclass(frozen=True, eq=False)
 class LoadModel:
-    """A model of both directions, positive speed first, from strokes with middles `strokes` (s,).
+    """A model of both directions, positive speed first, from strokes with middles `strokes` (s,)
+    at `paces` (p,), see `pace_of`.
 
     Effort is in units of `effort_scale`; `torque_range` are the lowest and highest torque that are
     looked at, without unit; `direction` is the sign of the speed against which the load acts;
@@ -151,6 +156,7 @@ class LoadModel:
     loop: StrokeLoop
     noise: LearnedNoise
     slack: float = 0.0
+    paces: Array = field(default_factory=lambda: np.empty(0))
 
     def place(self, path: ShaftPath) -> Array:
         """Return the position (n,) as part of the learned stroke."""
@@ -160,6 +166,11 @@ class LoadModel:
         """Return whether strokes are at a place of which none was learned."""
         middle, length = stroke_of(path)
         return bool(np.abs(middle - self.strokes).min() > APART_STROKE * length)
+
+    def between(self, path: ShaftPath) -> bool:
+        """Return whether strokes have a speed that none had which was learned, of few."""
+        apart = np.abs(pace_of(path) - self.paces)
+        return bool(apart.size and apart.min() > APART_SPEED * self.paces.max())
 
     def read(self, signals: LoadSignals) -> TorqueEstimate:
         """Return the torque at the rows (n,) of a recording."""
@@ -177,7 +188,7 @@ class LoadModel:
         doubt = np.broadcast_to(doubt, effort.shape)
         speed, unit = path.speed / self.scales.speed, self.scales.torque
         torque, u, share, doubted = (np.full(len(speed), np.nan) for _ in range(4))
-        elsewhere = self.elsewhere(path)
+        elsewhere, between = self.elsewhere(path), self.between(path)
         for sign, side in zip(SIDE_SIGNS, self.sides, strict=True):
             mask = speed < 0 if sign < 0 else speed >= 0
             design = side.design(motion_functions(path, self.scales, sign))
@@ -185,6 +196,7 @@ class LoadModel:
             spread, slope = side.spread(design, speed, found)
             torque[mask] = np.where(known, found, np.nan)[mask]
             spread *= side.elsewhere if elsewhere else 1.0
+            spread *= side.between if between else 1.0
             with np.errstate(invalid="ignore", divide="ignore"):
                 wider = np.hypot(spread, doubt / slope)
             u[mask], share[mask] = wider[mask], slope[mask] / side.slope
@@ -293,6 +305,12 @@ def stroke_of(path: ShaftPath) -> tuple[float, float]:
         return 0.0, 0.0
     low, high = float(position.min()), float(position.max())
     return (low + high) / 2, high - low
+
+
+def pace_of(path: ShaftPath) -> float:
+    """Return the root mean square of a path's speed, rad/s, transients left out."""
+    speed = path.speed[path.regular]
+    return float(np.sqrt(np.mean(speed**2))) if speed.size else 0.0
 
 
 def polynomial_at(parts: Array, torque: Array) -> Array:

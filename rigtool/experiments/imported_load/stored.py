@@ -24,7 +24,7 @@ MODEL_TABLE = "load_model"
 
 _PARTS = (
     *("", "_covariance", "_scales", "_scatter", "_factors"),
-    *("_region", "_strokes", "_noise", "_loop"),
+    *("_region", "_strokes", "_paces", "_noise", "_loop"),
 )
 """Ends of these names, in the order of the file."""
 
@@ -115,6 +115,11 @@ def _side_tables(sides: Sequence[Side]) -> dict[str, Table]:
                 "1",
                 "factor on uncertainty, for strokes at other places",
             ),
+            between=(
+                [side.between for side in sides],
+                "1",
+                "the same at other speeds, where two were learned",
+            ),
         ),
         "_factors": _table(
             "row",
@@ -163,6 +168,13 @@ def _motion_tables(model: LoadModel, effort_unit: str) -> dict[str, Table]:
             stroke=(np.arange(len(model.strokes)), "1"),
             middle=(model.strokes, "rad", "of the motor"),
         ),
+        "_paces": _table(
+            "pace",
+            "speed",
+            "speeds of the strokes, where two were learned",
+            pace=(np.arange(len(model.paces)), "1"),
+            speed=(model.paces, "rad/s", "root mean square, of the motor"),
+        ),
         "_noise": _table(
             "octave",
             "highest",
@@ -206,8 +218,9 @@ def load_model_from(run: Run) -> tuple[LoadModel, str]:
 
 def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
     terms, covariance, scales, scatter, factors, region, strokes, noise, loop = (
-        tables[MODEL_TABLE + part] for part in _PARTS
+        tables[MODEL_TABLE + part] for part in _PARTS if part != "_paces"
     )
+    paces = tables.get(MODEL_TABLE + "_paces")  # none in older tables
     sides = []
     for number, sign in enumerate(SIDE_SIGNS):
         where = np.flatnonzero(terms["sign"] == sign)
@@ -225,6 +238,7 @@ def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
                 factors=factors["factor"][own],
                 slope=float(scatter["slope"][number]),
                 elsewhere=float(scatter["elsewhere"][number]),
+                between=float(scatter["between"][number]) if "between" in scatter.columns else 1.0,
             )
         )
     model = LoadModel(
@@ -240,6 +254,7 @@ def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
             loop["mean"], loop["shape"], float(loop["offset"][0]), int(loop["recordings"][0])
         ),
         slack=float(scales["slack"][0]),
+        paces=paces["speed"] if paces is not None else np.empty(0),
         noise=LearnedNoise(noise["lowest"], noise["highest"], float(noise["rounding"][0])),
     )
     return model, scales.columns["effort"].unit

@@ -158,7 +158,7 @@ def test_an_edited_column_is_refused(tables, monkeypatch, table, column, value):
     stored = tables.tables[table]
     wrong = replace(stored.columns[column], values=np.full_like(stored[column], value))
     edited = replace(stored, columns={**stored.columns, column: wrong})
-    monkeypatch.setattr(tables, "tables", {**tables.tables, table: edited})
+    monkeypatch.setattr(tables, "_tables", {**tables.tables, table: edited})
     with pytest.raises(RunFileError, match=column):
         model_from(tables, tables.recipe)
 

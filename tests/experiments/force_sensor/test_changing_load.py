@@ -30,8 +30,8 @@ def test_both_forms_have_the_whole_deviation_about_a_step_and_the_factor_elsewhe
     samples = moved(0.5 * np.sin(3.1 * time), np.where(time < BEGINS, 0.0, 0.04))
     found = []
     for model in (Whole(), Half()):
-        with ThreadPoolExecutor(2) as workers:
-            stretch = Stretch("", instrument(model=model), 0.0, len(time), workers)
+        with ThreadPoolExecutor(1) as one, ThreadPoolExecutor(1) as other:
+            stretch = Stretch("", instrument(model=model), 0.0, len(time), (one, other))
             stretch.add(samples)
             found += stretch.reading()
     whole, half = found

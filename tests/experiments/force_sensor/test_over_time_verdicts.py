@@ -8,15 +8,15 @@ import pytest
 
 from rigtool.errors import InsufficientDataError, RunFileError
 from rigtool.experiments.force_filter.motion_states import Reach, State
-from rigtool.experiments.force_sensor import procedure_over_time as module
+from rigtool.experiments.force_sensor import procedure_calibration, procedure_instrument
 from rigtool.experiments.force_sensor.encoder_zero import EncoderZero
-from rigtool.experiments.force_sensor.procedure_over_time import (
-    _largest_friction,
-    _of_this_instrument,
-    _require_values,
-    reach_of,
-    require_calibration,
+from rigtool.experiments.force_sensor.procedure_calibration import require_calibration
+from rigtool.experiments.force_sensor.procedure_instrument import (
+    friction_at_output,
+    largest_friction,
+    of_this_instrument,
 )
+from rigtool.experiments.force_sensor.procedure_over_time import _require_values, reach_of
 from rigtool.experiments.force_sensor.results_over_time import Recorded
 from rigtool.experiments.force_sensor.signal_faults import SignalFault
 from rigtool.experiments.force_sensor.unknown_friction import UnknownFriction
@@ -48,11 +48,19 @@ def judged(monkeypatch, forms, share=0.0, zero=None, observed=False):
         hands.append(hand)
         return forms[form[0]]
 
-    monkeypatch.setattr(module, "unknown_friction", unknown)
-    monkeypatch.setattr(module, "unknown_share", lambda parts: share)
+    quiet = {"unknown_share": share, "lasting_torque": 0.0, "driven_part": 0.0}
+    for name, value in quiet.items():
+        monkeypatch.setattr(procedure_instrument, name, lambda *given, value=value: value)
+    monkeypatch.setattr(procedure_instrument, "changes", lambda *given: (0.0, 0.0, []))
+    monkeypatch.setattr(procedure_instrument, "unknown_friction", unknown)
     read = [Recorded("a", (Part(seen=seen),), 0, 0.0)]
-    _, notes = _of_this_instrument(read, Model(), TABLES, observed=observed, zero=zero)
+    _, notes = of_this_instrument(read, Model(), TABLES, None, observed=observed, zero=zero)
     return seen[0], notes, hands
+
+
+def gain(size):
+    """Return the share of the torque by which friction that is off by `size` moves a load."""
+    return pytest.approx(2 * size / friction_at_output(Model()))
 
 
 def friction(size, widening=1e-3, over_u=0.5, typical=1.0):
@@ -61,18 +69,18 @@ def friction(size, widening=1e-3, over_u=0.5, typical=1.0):
 
 def test_a_hand_drives_by_more_than_half_of_the_friction():
     expected = 0.5 * PLANT.torque_factor * (PLANT.coulomb + PLANT.housing_friction)
-    assert _largest_friction(Model(), True) == pytest.approx(expected)
-    assert _largest_friction(Model(), False) is None
+    assert largest_friction(Model(), True) == pytest.approx(expected)
+    assert largest_friction(Model(), False) is None
 
 
 @pytest.mark.parametrize("observed", [True, False])
 def test_the_form_of_larger_unknown_friction_counts(monkeypatch, observed):
     forms = {"with": friction(2e-3, 1.5e-3), "without": friction(3e-3, 4e-3)}
     widened, notes, hands = judged(monkeypatch, forms, observed=observed)
-    assert widened == (pytest.approx(4e-3), 0.0)
+    assert widened == (pytest.approx(4e-3), gain(3e-3))
     assert "friction of 3 mN m opposes" in notes[-1]
     assert "wider by 4 mN m" in notes[-1]
-    assert hands == [_largest_friction(Model(), observed)] * 2
+    assert hands == [largest_friction(Model(), observed)] * 2
     widened, notes, _ = judged(monkeypatch, {"with": friction(2e-3), "without": None})
     assert "friction of 2 mN m" in notes[-1]
 
@@ -81,7 +89,7 @@ def test_the_form_of_larger_unknown_friction_counts(monkeypatch, observed):
 def test_friction_is_in_doubt_from_a_third_of_u(monkeypatch, over_u, wider):
     one = friction(1e-3, 2e-3, over_u)
     widened, notes, _ = judged(monkeypatch, {"with": one, "without": one})
-    assert widened == ((2e-3, 0.0) if wider else (0.0, 0.0))
+    assert widened == ((2e-3, gain(1e-3)) if wider else (0.0, 0.0))
     assert len(notes) == wider
 
 
@@ -100,12 +108,13 @@ def test_another_zero_and_friction_under_load_are_in_u_and_noted(monkeypatch, sh
     zero = EncoderZero(math.radians(12.0), math.radians(0.7), 3e-3)
     one = friction(1e-3, 4e-3)
     widened, notes, _ = judged(monkeypatch, {"with": one, "without": one}, share, zero)
-    assert widened == (pytest.approx(5e-3), share)
-    assert f"torque is 5.0% {'more' if share > 0 else 'less'} against" in notes[0]
+    both = math.hypot(share, gain(1e-3).expected)
+    assert widened == (pytest.approx(5e-3), pytest.approx(both))
+    assert f"torque is 5.0 % {'more' if share > 0 else 'less'} against" in notes[0]
     assert "shows 12.0(0.7) deg" in notes[1]
     assert len(notes) == 3
     widened, notes, _ = judged(monkeypatch, {"with": None, "without": None}, share, zero)
-    assert widened == (3e-3, share)
+    assert widened == (3e-3, pytest.approx(abs(share)))
     assert "was not checked" in notes[2]
     quiet = friction(1e-3, over_u=0.1)
     assert judged(monkeypatch, {"with": quiet, "without": quiet}, 0.0, None)[:2] == ((0, 0), [])
@@ -194,7 +203,9 @@ def test_the_reach_is_that_of_loads_strokes_and_calibration():
 def test_a_constant_of_half_as_much_again_is_another_motors(ratio, refused, monkeypatch):
     own = load_recipe(RECIPE)[0]
     monkeypatch.setattr(
-        module, "torque_per_ampere_at", lambda kt, degc: SimpleNamespace(value=kt.constant)
+        procedure_calibration,
+        "torque_per_ampere_at",
+        lambda kt, degc: SimpleNamespace(value=kt.constant),
     )
     given = calibration(ratio * own.rig.torque_constant)
     if not refused:

@@ -46,13 +46,13 @@ def test_the_learned_ripple_is_that_of_its_orders():
     assert_allclose(own, expected)
 
 
-def test_another_power_up_has_the_amplitude_of_each_order_and_a_part_of_its_doubt():
+def test_another_power_up_has_the_amplitude_of_each_order_and_a_part_of_still_ones_doubt():
     model = covaried()
     _, drawn, growing = learned_ripple(model)
     covariance = model.learned.covariance[FIRST:, FIRST:]
     terms, values = TERMS, COEFFICIENT
 
-    def square(kinds, order, others=None):
+    def square(kinds, order, others=None, share=0.0):
         total = 0.0
         for quarter in (0, 1):
             one, other = (
@@ -60,11 +60,11 @@ def test_another_power_up_has_the_amplitude_of_each_order_and_a_part_of_its_doub
                 for k in (kinds, others or kinds)
             )
             doubt = one @ covariance @ other
-            total += (one @ values) * (other @ values) + UNCERTAIN_SHARE * doubt
+            total += (one @ values) * (other @ values) + share * doubt
         return total
 
     for order in RIPPLE_ORDERS:
-        expected = square((Kind.RIPPLE, Kind.COGGING), order) / 2
+        expected = square((Kind.RIPPLE, Kind.COGGING), order, share=UNCERTAIN_SHARE) / 2
         assert_allclose(drawn[2 * order - 2 : 2 * order], expected)
     gain, bent = (Kind.GAIN_RIPPLE,), (Kind.SQUARE_RIPPLE,)
     for order in GAIN_ORDERS:

@@ -46,7 +46,7 @@ def test_the_same_calibration_adds_nothing(both):
 def test_another_torque_constant_is_a_share_of_the_torque(both):
     by, share, (note,) = changes(*both(0.045 * 1.04), MODEL)
     assert (by, share) == (0.0, pytest.approx(0.04 / 1.04))
-    assert "+3.85%" in note
+    assert "+3.85 %" in note
 
 
 def test_a_zero_that_moved_is_taken_and_may_have_moved_again(both):

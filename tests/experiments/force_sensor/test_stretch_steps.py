@@ -81,7 +81,7 @@ class Sensed:
     def add(self, samples, *, last=False):
         number = self.steps + np.arange(float(samples.shape[1]))
         self.steps += samples.shape[1]
-        estimate = SimpleNamespace(low=number)
+        estimate = SimpleNamespace(low=number, opened=number % 3 == 0)
         names = ("less", "torque", "u", "by_current", "unbent")
         columns = {name: number + 1000 * k for k, name in enumerate(names)}
         columns["states"] = number % 5
@@ -97,8 +97,8 @@ def test_rows_are_every_so_many_steps_whatever_the_blocks_are(every, blocks, mon
     monkeypatch.setattr(module, "steps_of_a_row", lambda step, corner: every)
     monkeypatch.setattr(Stretch, "_smooth", lambda self, sensed, last: None)
     own = instrument(interval=1e-3, loop_time=1e-3, current_limit=1.5)
-    with ThreadPoolExecutor(1) as workers:
-        found = Stretch("a", own, 3.0, 40, workers)
+    with ThreadPoolExecutor(1) as one, ThreadPoolExecutor(1) as other:
+        found = Stretch("a", own, 3.0, 40, (one, other))
         found._untouched = None
         samples = np.random.default_rng(2).standard_normal((4, 40))
         first = 0
@@ -113,6 +113,7 @@ def test_rows_are_every_so_many_steps_whatever_the_blocks_are(every, blocks, mon
         assert_allclose(found._taken(name), expected + 1000 * number)
     assert_allclose(found._taken("passed"), rows + own.count / 2)
     assert_allclose(found._taken("causal_states"), rows % 5)
+    np.testing.assert_array_equal(found._taken("opened"), np.arange(40) % 3 == 0)
     angle = np.remainder(np.arange(40.0) + own.count / 2, 2 * math.pi)
     assert_allclose(found._taken("angle"), angle, atol=1e-5)
     assert_allclose(found._taken("reference"), samples[3])

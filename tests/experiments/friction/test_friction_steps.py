@@ -225,7 +225,7 @@ def test_holds_that_shake_are_left_out_by_what_shakes_them():
     for note in notes:
         speed = note.split("left out at ")[1].split(" rad/s")[0]
         assert starts[speed] in note
-        assert f"more than {12 if speed == '10' else 25}%" in note
+        assert f"more than {12 if speed == '10' else 25} %" in note
     with pytest.raises(InsufficientDataError, match=r"left out at 1.*do not separate"):
         fit_holds([whole[np.array([0, 2, 4])]])
 
@@ -243,7 +243,7 @@ def test_current_between_set_points_is_noted_or_refused_by_its_part(current, sta
     )
     own = holds(-SPEEDS)
     if state == "refused":
-        with pytest.raises(InsufficientDataError, match=r"at 5 rad/s by -0.3 mN m.*10%"):
+        with pytest.raises(InsufficientDataError, match=r"at 5 rad/s by -0.3 mN m.*10 %"):
             _note_lacking(lacking, own, found)
         return
     _note_lacking(lacking, own, found)

@@ -290,7 +290,7 @@ def test_a_hundredth_of_the_motion_is_in_the_other_direction(part, refused, way)
         _require_friction(design)
         return
     named = "positive" if way > 0 else "negative"
-    with pytest.raises(InsufficientDataError, match=f"99.5% of the motion is in the {named}"):
+    with pytest.raises(InsufficientDataError, match=f"99.5 % of the motion is in the {named}"):
         _require_friction(design)
 
 
@@ -303,7 +303,7 @@ def test_inertia_shows_where_noise_is_a_tenth_of_the_acceleration(share, resolve
     assert found == pytest.approx(share)
     assert (reason is None) == resolved
     if reason:
-        assert "11% of its power is noise" in reason
+        assert "11 % of its power is noise" in reason
     slow = replace(own, design=own.design * 1e-6, noise=(0.0, own.noise[1] * 1e-6))
     assert _resolves_inertia([slow])[0] == pytest.approx(share)
     still = replace(own, design=own.design * [0, 1, 1, 1, 1])
@@ -318,7 +318,7 @@ def test_a_model_explains_half_of_the_variance_and_friction_is_above_zero():
     own = found_of([motion()])
     _require_model(own)
     _require_model(replace(own, explained=0.51))
-    with pytest.raises(InsufficientDataError, match="explain 49% of the torque's variance"):
+    with pytest.raises(InsufficientDataError, match="explain 49 % of the torque's variance"):
         _require_model(replace(own, explained=0.49))
     for times, refused in ((2.9, False), (3.1, True)):
         u = own.estimate("coulomb")[1]
@@ -459,7 +459,7 @@ def test_motions_that_differ_by_a_tenth_are_others(part, refused):
     if not refused:
         paired._require_same(position, position + apart + 3.0)
         return
-    with pytest.raises(InsufficientDataError, match=r"differ by 11% rms.*limit is 10%"):
+    with pytest.raises(InsufficientDataError, match=r"differ by 11 % rms.*limit is 10 %"):
         paired._require_same(position, position + apart + 3.0)
 
 

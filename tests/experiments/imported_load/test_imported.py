@@ -30,7 +30,10 @@ FRICTION = LoadFriction(np.arange(3.0), np.array([0.1, 0.2, 0.3]), np.array([0.0
 def learned(paces=3, strokes=1):
     model = SimpleNamespace(
         scales=SimpleNamespace(low=-2.0, high=3.0, standstill=0.25),
-        sides=(SimpleNamespace(factors=np.array([1.0, 1.3])), SimpleNamespace(factors=np.ones(2))),
+        sides=(
+            SimpleNamespace(factors=np.array([1.0, 1.3]), between=1.6),
+            SimpleNamespace(factors=np.ones(2), between=1.0),
+        ),
         strokes=np.zeros(strokes),
     )
     return SimpleNamespace(model=model, validation=VALIDATION, friction=FRICTION, paces=paces)
@@ -67,7 +70,9 @@ def test_notes_count_levels_and_speeds():
     assert slow.startswith("below 0.25 rad/s")
     assert _notes(learned(1), 12)[-1].startswith("recorded at one speed")
     assert len(_notes(learned(1, strokes=2), 12)) == 3
-    assert _notes(learned(2), 12)[-1].startswith("recorded at two speeds")
+    two = _notes(learned(2), 12)[-1]
+    assert two.startswith("recorded at two speeds")
+    assert "up to 1.6 times" in two
 
 
 @pytest.mark.parametrize(("linear", "turn"), [(1.0, 0.0), (0.0, 2 * np.pi)])

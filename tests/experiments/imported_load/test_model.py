@@ -18,6 +18,7 @@ from rigtool.experiments.force.imported import (
     of_this_zero,
 )
 from rigtool.experiments.force_filter.motion_states import State
+from rigtool.experiments.imported_load import side as one_side
 from rigtool.experiments.imported_load.basis import (
     FUNCTION_GROUPS,
     find_scales,
@@ -88,6 +89,31 @@ def test_intervals_hold_at_loads_that_were_not_learned():
     # Each is of nine recordings that differ as wholes: one by one they may miss by chance.
     assert 0.8 <= np.mean(held) <= 0.995
     assert np.median(widths) < 2e-3  # and they are not merely wide
+
+
+def test_between_two_speeds_u_is_widened_by_what_leaving_out_either_shows(monkeypatch):
+    """Friction changes by 12 mA from one speed to the other; between them, nothing shows how."""
+
+    def at(speeds, seed):
+        random = np.random.default_rng(seed)
+        return [
+            observe(load, f, seed=random.integers(1 << 31), drift=friction)
+            for load in (0.02, 0.04, 0.06, 0.08)
+            for f, friction in speeds.items()
+        ]
+
+    def coverage():
+        model = learn_load_model(at({0.12: 0.0, 0.25: 12e-3}, 1)).model
+        off = []
+        for item in at({0.18: 11e-3}, 2):
+            found = model.read(item)
+            known = np.isfinite(found.moving)
+            off.append((np.abs(found.moving - item.reference) / found.u)[known])
+        return np.mean(np.concatenate(off) < 1.96)
+
+    assert coverage() > 0.95
+    monkeypatch.setattr(one_side, "BETWEEN_TWO", 0.0)
+    assert coverage() < 0.85
 
 
 def test_friction_by_load_is_found(learned):
