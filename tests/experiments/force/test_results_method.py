@@ -1,13 +1,14 @@
 """What the way of reading brings to a reading of force, against signals whose parts are known."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from rigtool.experiments.force.cycles import find_cycles, readings
 from rigtool.experiments.force.procedure import strokes
-from rigtool.experiments.force.results_method import unsteady_torque
+from rigtool.experiments.force.results_method import resolution_u, unsteady_torque
 from rigtool.numerics.lowpass import lowpass
 from rigtool.recipe import load_recipe
 from tests.experiments.virtual_runs import RECIPE
@@ -47,3 +48,19 @@ def test_it_is_what_the_ends_of_the_stroke_bring_and_hardly_more(rev_per_s, mode
     alone = stroked(rev_per_s, modelled, modelled)[1]
     inertia = stroked(rev_per_s, modelled, friction=0.0)[1]
     assert u == pytest.approx(alone + inertia, rel=0.02, abs=2e-3 * FRICTION)
+
+
+@pytest.mark.parametrize("every", [1, 8])
+def test_steps_of_the_current_are_a_rectangle_at_the_output(every):
+    """As wide as the step, which the means of several samples show in parts (GUM F.2.2.1); the
+    first 8192 samples show it."""
+    sets = ("rig.attachment=instrument", f"measure_force.record_every={every}")
+    recipe = load_recipe(RECIPE, sets)[0]
+    rng, step = np.random.default_rng(1), 2e-3
+    asked = (step * rng.integers(0, 40, (9000, every))).mean(axis=1)
+    asked[8192:] += 1e-6 * rng.standard_normal(9000 - 8192)
+    recording = SimpleNamespace(size=9000, read=lambda name, first, last: asked[first:last])
+    expected = recipe.rig.torque_factor * 0.046 * step / math.sqrt(12)
+    assert resolution_u(recording, recipe, 0.046) == pytest.approx(expected, rel=1e-6)
+    short = SimpleNamespace(size=400, read=lambda name, first, last: asked[first:last])
+    assert resolution_u(short, recipe, 0.046) == pytest.approx(expected, rel=1e-6)
