@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -146,11 +147,9 @@ def require_learned(start: float | None, motion: Motion, reach: Reach, here: flo
 
     `here` rad is where the rotor is.
     """
-    begin, size = here if start is None else start, max(1000, round(1000 * motion.duration))
+    begin = here if start is None else start
     fastest, lowest, highest = 0.0, math.inf, -math.inf
-    for first in range(0, size, POINTS_AT_ONCE):
-        rows = np.arange(first, min(first + POINTS_AT_ONCE, size), dtype=np.float64)
-        time: Array = np.multiply(rows, motion.duration / (size - 1), dtype=np.float64)
+    for time in _looked_at(motion):
         position, speed, _ = motion.setpoint(time)
         fastest = max(fastest, float(np.abs(speed).max()))
         lowest = min(lowest, begin + float(position.min()))
@@ -169,3 +168,15 @@ def require_learned(start: float | None, motion: Motion, reach: Reach, here: flo
             f"{highest:.4g} rad of the motor, the tables were learned from {low:.4g} to "
             f"{high:.4g} rad: move within that, or learn with a larger angle"
         )
+
+
+def _looked_at(motion: Motion) -> Iterator[Array]:
+    """Yield the times, s, at which a motion is looked at: one in a millisecond, and all points of a
+    profile, where its speed is highest however short it lasts."""
+    size = max(1000, round(1000 * motion.duration))
+    points = np.asarray(motion.times if isinstance(motion, SpeedProfile) else ())
+    for first in range(0, size, POINTS_AT_ONCE):
+        rows = np.arange(first, min(first + POINTS_AT_ONCE, size), dtype=np.float64)
+        yield rows * (motion.duration / (size - 1))
+    for first in range(0, len(points), POINTS_AT_ONCE):
+        yield points[first : first + POINTS_AT_ONCE]

@@ -93,6 +93,12 @@ def test_motions_beyond_what_was_learned_are_refused():
         require_learned(0.0, wide, REACH, 0.0)
 
 
+def test_a_leap_within_a_millisecond_is_refused():
+    leap = path(np.array([0.0, 2.0, 2.0004, 5.0]), np.array([0.3, 0.3, 2.4, 0.3]))
+    with pytest.raises(RecipeError, match="learned up to 10 rad/s"):
+        require_learned(0.0, leap, REACH, 0.0)
+
+
 def test_a_long_motion_is_looked_at_in_pieces():
     long = path(np.array([0.0, 150.0, 299.9, 300.0]), np.array([0.0, 2.6, 2.5, 3.0]))
     tracemalloc.start()
