@@ -119,9 +119,8 @@ def level_numbers(values: Sequence[float], apart: float = MIN_LEVEL_DISTANCE) ->
         return [0] * len(sizes)
     order = np.argsort(sizes, kind="stable")
     gaps = np.diff(sizes[order])
-    widest = float(gaps.max()) if len(gaps) else 0.0
     levels = np.empty(len(order), dtype=int)
-    gap = max(widest / 4, apart * float(sizes.max(initial=0.0)))
+    gap = max(float(gaps.max()) / 4, apart * float(sizes.max(initial=0.0)))
     levels[order] = np.concatenate([[0], np.cumsum(gaps > gap)])
     return [int(level) for level in levels]
 

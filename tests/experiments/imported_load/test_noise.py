@@ -90,6 +90,8 @@ def test_a_pole_makes_all_ratios_tell_one_lag():
 def test_rounding_counts_where_noise_does_not_spread_it():
     random, ramp = np.random.default_rng(4), np.linspace(0, 40.3, 100_000)
     for scatter, left in ((0.0, 1.0), (0.5, 0.0)):
-        found = noise_of(np.round(ramp + random.normal(0, scatter, len(ramp))), 1000.0, 5.0)
-        assert found.rounding == pytest.approx(left / 12, abs=0.01)
+        steps = np.round(ramp + random.normal(0, scatter, len(ramp)))
+        for step in (1.0, 0.01, 30.0):
+            found = noise_of(step * steps, 1000.0, 5.0)
+            assert found.rounding / step**2 == pytest.approx(left / 12, abs=0.01)
     assert noise_of(ramp, 1000.0, 5.0).rounding < 1e-6

@@ -123,13 +123,25 @@ def test_a_turning_shaft_has_friction_by_its_speed():
     levels = random.permutation(np.linspace(-2, 2, 20)), random.permutation([50.0, -80.0] * 10)
     current, speed = (np.repeat(level, PER_LEVEL) for level in levels)
     torque = 0.05 * current - 0.004 * np.sign(speed) - 1e-4 * speed
-    torque = torque + random.normal(0, 1e-4, len(current))
+    torque = 0.3 + torque + random.normal(0, 1e-4, len(current))  # zero of the sensor
     time = np.arange(len(current)) * 0.01
-    fit = fit_constant([find_points(Course(time, current, torque, speed=speed))])
+    points = find_points(Course(time, current, torque, speed=speed))
+    fit = fit_constant([points])
     assert fit.turning
     assert fit.hysteresis is None
     assert fit.constant == pytest.approx(0.05, rel=0, abs=3 * fit.constant_u)
     assert fit.constant_u < 0.01 * fit.constant
+    # the model is a sum of its functions, all that is left is scatter
+    i, course = points.current, np.linspace(-1, 1, len(points.current))
+    columns = [i, points.speed, np.sign(points.speed), i * np.abs(i), course, course**2, i**0]
+    design = np.column_stack(columns)
+    left = [
+        each - design @ np.linalg.lstsq(design, each, rcond=None)[0]
+        for each in (fit.model, fit.measured)
+    ]
+    assert np.abs(left[0]).max() < 1e-9 < 1e-6 < np.abs(left[1]).max()
+    assert fit.model.mean() == pytest.approx(fit.measured.mean(), abs=1e-6)
+    assert np.abs(fit.measured).max() < 0.2  # without the zero
 
 
 @pytest.mark.parametrize(
