@@ -150,3 +150,20 @@ print(sorted(heavy & set(sys.modules)))
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_table_that_has_u_has_degrees_of_freedom():
+    """But for uncertainties of a posterior distribution, which have none."""
+    of_posteriors = ("force_model/", "force_sensor/", "load_disturbance/")
+    without = [
+        f"{place(path)}:{node.lineno}"
+        for path in MODULES
+        if not any(room in place(path) for room in of_posteriors)
+        for node in ast.walk(parsed(path))
+        if isinstance(node, ast.Dict)
+        for names in [[key.value for key in node.keys if isinstance(key, ast.Constant)]]
+        for columns in [[v for v in node.values if "Column(" in ast.unparse(v)]]
+        if columns and any(str(name).split("_")[-1] == "u" for name in names)
+        if "dof" not in names
+    ]
+    assert without == []

@@ -138,7 +138,8 @@ def _add_directions(
     by_constant: bool = True,
     common: Mapping[str, float] = MappingProxyType({}),
 ) -> None:
-    """Add the mean over directions, and each direction without the offset.
+    """Add the mean over directions, and each direction without the offset. Of one direction alone,
+    the mean over both is that direction's over 1 +- the asymmetry of friction.
 
     `dof` are the degrees of freedom of each direction's scatter; `common` are standard
     uncertainties that all of them share, by their lines in the budget.
@@ -146,7 +147,9 @@ def _add_directions(
     if not values:
         return
 
-    def state(name: str, value: float, scatter: Component, sign: int | None) -> None:
+    def state(
+        name: str, value: float, scatter: Component, sign: int | None, of_both: bool = False
+    ) -> None:
         lines = [
             scatter,
             *(error_line(line, shared, unit) for line, shared in common.items()),
@@ -155,6 +158,12 @@ def _add_directions(
             value -= sign * offset.offset[0]
             apart = math.hypot(offset.offset[1], offset.unknown)
             lines.append(error_line("constant torque", apart, unit))
+            if of_both:  # the other direction's follows from the asymmetry
+                asymmetry, asymmetry_u = offset.asymmetry
+                mean = 1 / (1 + sign * asymmetry)
+                lines = [replace(line, sensitivity=mean * line.sensitivity) for line in lines]
+                value *= mean
+                lines.append(error_line("asymmetry", value * mean * asymmetry_u, unit))
         quantity = found.scale.quantity if by_constant else combined
         found.results[name] = quantity(value, unit, lines)
 
@@ -165,7 +174,8 @@ def _add_directions(
         [replace(part, sensitivity=1 / len(parts)) for part in parts.values()],
     )
     both = error_line(SCATTER_LINE, mean.u or 0.0, unit, mean.dof)
-    state(name, mean.value, both, next(iter(values)) if len(values) == 1 else None)
+    one = next(iter(values)) if len(values) == 1 else None
+    state(name, mean.value, both, one, of_both=True)
     for sign, (value, _) in values.items():
         state(f"{name}_{DIRECTION_NAMES[sign]}", value, parts[sign], sign)
 
@@ -289,6 +299,7 @@ def torque_speed_table(curve: TorqueSpeed, label: str) -> Table:
             "speed": Column(curve.speed, "rad/s"),
             "torque": Column(curve.torque, "N m", "of the controller, without feed-forward"),
             "u": Column(curve.u, "N m", "standard uncertainty from the scatter of turns"),
+            "dof": dof_column(curve.dof),
             "revolutions": Column(curve.revolutions, "1", "whole turns averaged"),
         },
         signal="torque",

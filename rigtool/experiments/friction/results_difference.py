@@ -11,7 +11,7 @@ from rigtool.errors import InsufficientDataError, UsageError, naming
 from rigtool.experiments.friction.results import Findings
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
-from rigtool.runfile import Column, Run, Table
+from rigtool.runfile import Column, Run, Table, dof_column
 
 HOLD_TABLE = "holds"
 
@@ -23,8 +23,8 @@ SAME_SPEED = 0.01
 MIN_EXTRA_SPEEDS = 3
 """Common speeds beyond the number of parameters that show their scatter."""
 
-_Curve = tuple[Array, Array, Array]
-"""Speed (n,), torque (n,) and its u (n,)."""
+_Curve = tuple[Array, Array, Array, Array]
+"""Speed (n,), torque (n,), its u (n,) and the degrees of freedom of that (n,)."""
 
 
 def require_different(runs: Sequence[Run], against: Run | None, reference: Run | None) -> None:
@@ -45,7 +45,7 @@ def add_curve_difference(
     common speeds.
     """
     mine = _curve(found.tables[HOLD_TABLE])
-    speed, difference, u = _minus(mine, _other(against, unit))
+    speed, difference, u, u_dof = _minus(mine, _other(against, unit))
     sign = np.sign(speed)
     columns = {"coulomb_friction_difference": (sign, "N m")}
     columns["viscous_friction_difference"] = (speed, "N m s/rad")
@@ -74,6 +74,7 @@ def add_curve_difference(
             "speed": Column(speed, "rad/s"),
             "difference": Column(difference, "N m", "of the mean torques"),
             "u": Column(u, "N m", "standard uncertainty"),
+            "dof": dof_column(u_dof),
             "model": Column(design @ parameters * u, "N m", "the same of the fitted change"),
         },
         "difference",
@@ -96,8 +97,8 @@ def _ratio(mine: _Curve, base: _Curve, other: _Curve) -> Quantity:
     this = _minus(mine, base)
     at = [int(np.argmin(np.abs(known[0] - speed))) for speed in this[0]]
     both = np.abs(known[0][at] - this[0]) <= SAME_SPEED * np.abs(this[0])
-    x, x_u = (values[at][both] for values in known[1:])
-    y, y_u = (values[both] for values in this[1:])
+    x, x_u = (values[at][both] for values in known[1:3])
+    y, y_u = (values[both] for values in this[1:3])
     shared = np.array([base[2][np.argmin(np.abs(base[0] - one))] for one in this[0][both]])
     if len(y) < 1 + MIN_EXTRA_SPEEDS:
         raise InsufficientDataError(
@@ -121,8 +122,9 @@ def _ratio(mine: _Curve, base: _Curve, other: _Curve) -> Quantity:
 
 
 def _curve(table: Table) -> _Curve:
-    """Return speed, torque and u of the holds in a table; repeats of a speed stay apart."""
-    return table["speed"], table["torque"], np.maximum(table["u"], 1e-12)
+    """Return speed, torque, u and its degrees of freedom of the holds in a table; repeats of a
+    speed stay apart."""
+    return table["speed"], table["torque"], np.maximum(table["u"], 1e-12), table["dof"]
 
 
 def _other(run: Run, unit: str) -> _Curve:
@@ -133,13 +135,20 @@ def _other(run: Run, unit: str) -> _Curve:
         raise UsageError(
             f"{run.path} holds {stored}, this curve {unit}: analyse both with --kt, or both without"
         )
-    return _curve(run.table(HOLD_TABLE, "speed", torque=unit, u=unit))
+    return _curve(run.table(HOLD_TABLE, "speed", torque=unit, u=unit, dof="1"))
 
 
 def _minus(curve: _Curve, other: _Curve) -> _Curve:
-    """Return the difference of two curves at their common speeds."""
-    speed, torque, u = curve
+    """Return the difference of two curves at their common speeds.
+
+    Degrees of freedom by Welch and Satterthwaite (GUM G.4.1).
+    """
+    speed = curve[0]
     at = np.array([int(np.argmin(np.abs(other[0] - one))) for one in speed])
     both = np.abs(other[0][at] - speed) <= SAME_SPEED * np.abs(speed)
-    difference = torque[both] - other[1][at][both]
-    return speed[both], difference, np.hypot(u[both], other[2][at][both])
+    torque, u, dof = (values[both] for values in curve[1:])
+    other_torque, other_u, other_dof = (values[at][both] for values in other[1:])
+    total = np.hypot(u, other_u)
+    with np.errstate(divide="ignore"):  # both are infinite
+        dof = total**4 / (u**4 / dof + other_u**4 / other_dof)
+    return speed[both], torque - other_torque, total, dof

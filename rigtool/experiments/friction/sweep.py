@@ -29,13 +29,14 @@ class TorqueSpeed:
     """Means by bin, (n,): `speed` in rad/s, `torque` in N m, whole `revolutions` averaged.
 
     `u` is the standard uncertainty of the torque, N m, from the scatter of the single turns in a
-    bin (GUM 4.2.3); NaN where a bin has less than two.
+    bin (GUM 4.2.3), `dof` its degrees of freedom; NaN where a bin has less than two.
     """
 
     speed: Array
     torque: Array
     revolutions: Array
     u: Array
+    dof: Array
 
 
 def torque_speed_curve(
@@ -81,14 +82,16 @@ def torque_speed_curve(
     _, index = np.unique(passes[:, 0], return_inverse=True)
     count = np.bincount(index)
     speed, torque, turns = (np.bincount(index, weights=passes[:, k]) for k in (1, 2, 3))
-    u = np.array([_standard_error(single[number]) for number in np.unique(passes[:, 0]).tolist()])
-    return TorqueSpeed(speed / count, torque / count, turns.astype(np.float64), u)
+    errors = [_standard_error(single[number]) for number in np.unique(passes[:, 0]).tolist()]
+    u, dof = np.array(errors).T
+    return TorqueSpeed(speed / count, torque / count, turns.astype(np.float64), u, dof)
 
 
-def _standard_error(means: list[float]) -> float:
+def _standard_error(means: list[float]) -> tuple[float, float]:
+    """Return the standard uncertainty of a mean and its degrees of freedom."""
     if len(means) < 2:
-        return float("nan")
-    return float(np.std(means, ddof=1) / np.sqrt(len(means)))
+        return float("nan"), float("nan")
+    return float(np.std(means, ddof=1) / np.sqrt(len(means))), len(means) - 1.0
 
 
 def _whole_turns(angle: Array) -> tuple[slice, int]:

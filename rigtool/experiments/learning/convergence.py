@@ -38,14 +38,16 @@ class LearningRun:
     """Result of one learning run, all its speeds together, within the band of Q.
 
     `rms` and `peak` are of the repeatable part, `scatter` is the rms of a single cycle around the
-    mean, in the unit of the signal. `ratio` is the power that another update would change over the
-    power that noise explains, `limit` the value that noise alone exceeds once in a hundred times.
+    mean, in the unit of the signal; `dof` the degrees of freedom of both uncertainties. `ratio` is
+    the power that another update would change over the power that noise explains, `limit` the value
+    that noise alone exceeds once in a hundred times.
     """
 
     rms: float
     rms_u: float
     peak: float
     peak_u: float
+    dof: int
     scatter: float
     ratio: float
     limit: float
@@ -99,6 +101,7 @@ def learning_run(
         rms_u=standard_uncertainty(np.sqrt(squares_without)),
         peak=float(max(np.abs(m).max() for m in mean)),
         peak_u=standard_uncertainty(peaks_without),
+        dof=count - 1,
         scatter=float(np.sqrt(scatter)),
         ratio=ratio,
         limit=limit,

@@ -55,6 +55,9 @@ LITTLE_LEFT = 0.5
 """Probability of the residuals of the rigid plant above which a second mass has nothing to
 explain."""
 
+SERIES = 0.08
+"""Largest c w2, with which a lag of first order differs from its series by c2 w4 = 0.6 %."""
+
 MAX_EVALUATIONS = 500
 """Largest number of evaluations in one fit; without a second mass it does not converge."""
 
@@ -104,7 +107,9 @@ class PlantFit:
 def fit_plant(found: FrequencyResponse, sample_time: float, nominal_inertia: float) -> PlantFit:
     """Fit the simplest model that the response supports, from `nominal_inertia`, kg m2.
 
-    Raises `InsufficientDataError` where too few lines are coherent with the excitation.
+    Lines at which dynamics above the band, such as a slow current loop, have rolled off by more
+    than their series holds (`SERIES`) are left out. Raises `InsufficientDataError` where too few
+    lines are coherent with the excitation, or left.
     """
     used = found.coherence >= MIN_COHERENCE
     if used.sum() < max(MIN_LINES, len(used) / 2):
@@ -116,6 +121,26 @@ def fit_plant(found: FrequencyResponse, sample_time: float, nominal_inertia: flo
             "the encoder; raise identify_plant.speeds, swing or periods, or correct [rig.inertia], "
             "by which it is scaled"
         )
+    while True:
+        fit = _of_lines(found, used, sample_time, nominal_inertia)
+        highest = math.sqrt(SERIES / max(fit.roll_off, 1e-300)) / (2 * math.pi)
+        within = used & (found.frequency <= highest)
+        if not fit.model.rigid or (within == used).all():
+            return fit
+        if within.sum() < MIN_LINES:
+            raise InsufficientDataError(
+                f"what moves the shaft has rolled off by {-math.expm1(-SERIES):.0%} at "
+                f"{highest:.3g} Hz already, with {within.sum()} lines below, {MIN_LINES} are "
+                "needed: the amplifier's current loop is slow; make it faster, or lower "
+                "identify_plant.frequency_max"
+            )
+        used = within
+
+
+def _of_lines(
+    found: FrequencyResponse, used: Mask, sample_time: float, nominal_inertia: float
+) -> PlantFit:
+    """Return the simplest model that these lines support."""
     data = _Data(found.lines(used))
     nominal = PlantModel(nominal_inertia, 0.0)
     start = PlantFit(nominal, 0.0, 0.0, 0.0, sample_time, used, 1.0, 1.0)

@@ -74,9 +74,12 @@ class IdentifiedPlant:
         constant = self.torque_constant
         common = 0.0 if constant is None or not constant.dof else 1 / constant.dof
         u = np.hypot(scatter, scale)
+        spread = scatter**4 / dof + scale**4 * common
+        # Far above a slow current loop's corner nothing is left, and nothing is uncertain.
+        known = np.divide(u**4, spread, out=np.full(u.shape, np.inf), where=spread > 0)
         return {
             "u": Column(u, RESPONSE_UNIT, f"standard, {what}"),
-            "dof": dof_column(u**4 / (scatter**4 / dof + scale**4 * common)),
+            "dof": dof_column(known),
         }
 
 

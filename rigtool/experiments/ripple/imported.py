@@ -34,7 +34,7 @@ from rigtool.experiments.ripple.orders import (
 )
 from rigtool.experiments.torque_per_ampere import Effort
 from rigtool.quantity import Quantity
-from rigtool.runfile import Column, Recording, Run, Table
+from rigtool.runfile import Column, Recording, Run, Table, dof_column
 from rigtool.runfile.importers.convert import irregular
 from rigtool.runfile.schema import IMPORTED, MAP
 
@@ -279,6 +279,7 @@ def _spectrum_table(groups: Sequence[RepeatedRuns], unit: str) -> Table:
             "phase": column("torque", "phase", "rad", "amplitude*cos(order*angle + phase)"),
             "noise_floor": column("torque", "noise_floor", unit, floor),
             "u": Column(np.stack([group.u for group in groups]), unit, "standard, of amplitude"),
+            "dof": dof_column(np.stack([group.dof for group in groups])),
             "alias": Column(
                 np.stack([group.alias[: len(first.order)] for group in groups]),
                 "1",

@@ -82,6 +82,15 @@ class RepeatedRuns:
         by_alias = self.leak[:count] * spectrum.amplitude / math.sqrt(3)
         return np.hypot(spectrum.u, by_alias)
 
+    @property
+    def dof(self) -> Array:
+        """Degrees of freedom (orders,) of `u`, by Welch and Satterthwaite (GUM G.4.1): two for each
+        repeated turn; infinite for what a higher order adds, and where nothing was repeated."""
+        scatter, repeats = self.spectra["torque"].u, 2 * (len(self.torque) - 1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found: Array = self.u**4 / (scatter**4 / (repeats or math.inf))
+        return found
+
     def clear(self) -> Mask:
         """Return the orders (m,) that stand out; of noise alone, one would on average, by
         chance."""

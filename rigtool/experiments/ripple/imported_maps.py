@@ -14,7 +14,7 @@ from rigtool.experiments.ripple.map_shift import highest_order, map_orders, matc
 from rigtool.experiments.ripple.orders import HIGHEST_ORDER, Match
 from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.quantity import Quantity
-from rigtool.runfile import Column, Run, Table
+from rigtool.runfile import Column, Run, Table, dof_column
 from rigtool.runfile.schema import MAP
 
 SIGNIFICANT_SHIFT = 3.0
@@ -129,6 +129,7 @@ def _table(matches: Sequence[Match]) -> Table:
             "correlation": column("correlation", "1", "at equal angles"),
             "shift": column("shift", "rad", "that makes the correlation largest"),
             "shift_u": column("shift_u", "rad", "standard uncertainty of it"),
+            "dof": dof_column(np.full(len(matches), np.inf)),
             "best_correlation": column("best_correlation", "1", "at that shift"),
             "scale": column("scale", "1", "least-squares factor at that shift"),
         },

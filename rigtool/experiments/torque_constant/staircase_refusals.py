@@ -114,7 +114,8 @@ def require_straight(
         raise InsufficientDataError(
             f"torque at {current[worst]:.3g} A is {mean[worst] * 1e3:.3g} mN m off the line "
             f"through all currents, limit {limit * 1e3:.3g} mN m: gauge, amplifier or motor is not "
-            "linear there; lower current_max or look for an end stop"
+            "linear there, or the arm still swings; lower current_max, look for an end stop, or "
+            "raise calibrate_kt.step_time and settle_time"
         )
 
 

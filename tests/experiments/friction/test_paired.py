@@ -211,6 +211,7 @@ def held(speed, torque, u):
     """Return the table of a curve of constant speeds."""
     columns = {"speed": Column(speed, "rad/s"), "torque": Column(torque, "N m")}
     columns["u"] = Column(np.full(len(speed), u), "N m")
+    columns["dof"] = Column(np.full(len(speed), 9.0), "1")
     return Table(("speed",), columns, "torque")
 
 

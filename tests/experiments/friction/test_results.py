@@ -159,11 +159,11 @@ def test_what_compensation_leaves_is_judged_where_it_is_complete():
     speed = np.array([-9.0, -3.0, -2.9, 0.0, 2.9, 3.1, 8.0])
     torque = np.array([1.0, 2.0, 50.0, 60.0, 50.0, 4.0, 5.0]) * 1e-3
     found = findings()
-    add_flatness(TorqueSpeed(speed, torque, np.ones(7), np.ones(7)), found)
+    add_flatness(TorqueSpeed(speed, torque, *np.ones((3, 7))), found)
     expected = np.std(np.array([1.0, 2.0, 4.0, 5.0]) * 1e-3)
     assert found.results["compensated_torque_rms"].value == pytest.approx(expected)
     slow = findings()
-    add_flatness(TorqueSpeed(speed[2:5], torque[2:5], np.ones(3), np.ones(3)), slow)
+    add_flatness(TorqueSpeed(speed[2:5], torque[2:5], *np.ones((3, 3))), slow)
     assert not slow.results
 
 
@@ -201,3 +201,15 @@ def test_the_ramp_that_is_stored_is_the_highest():
     assert len(table["time"]) <= RAMP_POINTS
     np.testing.assert_allclose(table["position"], 2 * (table["time"] + time[9000]))
     np.testing.assert_allclose(table["torque"], 3 * (table["time"] + time[9000]))
+
+
+def test_static_friction_of_one_direction_is_over_what_that_direction_has_more():
+    found = findings()
+    offset = Offset((0.2e-3, 0.0), (0.25, 0.02), True)
+    line = fit(2e-3, None)
+    add_friction({1: line, -1: fit(2e-3)}, offset, found)
+    negative = found.results["stribeck_static_friction_negative"]
+    both = found.results["stribeck_static_friction"]
+    assert both.value == pytest.approx(negative.value / 0.75, rel=1e-12)
+    expected = math.hypot(negative.u / 0.75, both.value / 0.75 * 0.02)
+    assert both.u == pytest.approx(expected, rel=1e-9)

@@ -20,7 +20,12 @@ class Found(SimpleNamespace):
 
 def curve(torque, u):
     """Return a run of `stribeck` that holds this curve alone."""
-    table = {"speed": SPEED, "torque": torque, "u": np.full(len(SPEED), u)}
+    table = {
+        "speed": SPEED,
+        "torque": torque,
+        "u": np.full(len(SPEED), u),
+        "dof": np.full(len(SPEED), 4.0),
+    }
     columns = {name: SimpleNamespace(values=values, unit="N m") for name, values in table.items()}
     holds = type("Holds", (dict,), {"columns": columns})(table)
     return SimpleNamespace(
@@ -50,3 +55,14 @@ def test_the_uncertainty_of_a_ratio_is_that_of_a_mean():
     # scatter beyond u raises u, scatter below it does not lower it
     np.testing.assert_allclose(us.min(), U / 10**0.5, rtol=1e-3)
     assert us.max() < 2 * U / 10**0.5
+
+
+def test_differences_have_the_degrees_of_freedom_of_both_curves():
+    """Equal uncertainties of 4 degrees of freedom each: 8 by Welch and Satterthwaite."""
+    found = Found(
+        results={}, tables={"holds": curve(2 * np.sign(SPEED), U).tables["holds"]}, notes=[]
+    )
+    add_curve_difference(found, curve(np.sign(SPEED), U), None)
+    columns = found.tables["hold_differences"].columns
+    np.testing.assert_allclose(columns["u"].values, U * 2**0.5)
+    np.testing.assert_allclose(columns["dof"].values, 8.0)

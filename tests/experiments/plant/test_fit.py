@@ -73,6 +73,21 @@ def test_an_amplifiers_lag_is_distinguished_from_the_plant():
     assert fit.model.inertia == pytest.approx(RIGID.inertia, rel=1e-4, abs=0)
 
 
+@pytest.mark.parametrize("corner_hz", [100.0, 200.0, 300.0])
+def test_lines_beyond_a_slow_current_loop_are_left_out(corner_hz):
+    fit = fitted(RIGID, 1, lag=1 / (2 * math.pi * corner_hz))
+    assert FREQUENCY[fit.used].max() < 0.5 * corner_hz
+    assert fit.misfit < 2
+    error = fit.model.inertia - RIGID.inertia
+    assert abs(error) < 3 * fit.scatter(lambda one: one.model.inertia)
+    assert abs(error) < 0.005 * RIGID.inertia
+
+
+def test_a_current_loop_that_is_slower_than_nearly_all_lines_is_named():
+    with pytest.raises(InsufficientDataError, match="current loop is slow"):
+        fitted(RIGID, 1, lag=1 / (2 * math.pi * 10))
+
+
 def test_friction_does_not_take_the_place_of_a_slow_amplifier():
     """Its phase at high lines, a third power of frequency, would be fitted by friction."""
     fit = fitted(RIGID, 0, noise=1e-6, lag=200e-6)

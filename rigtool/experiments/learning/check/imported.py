@@ -40,7 +40,7 @@ from rigtool.experiments.ripple.orders import (
 from rigtool.experiments.torque_per_ampere import effort_of
 from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.quantity import Quantity
-from rigtool.runfile import Column, Recording, Run, Table
+from rigtool.runfile import Column, Recording, Run, Table, dof_column
 
 Orders = ComplexArray
 
@@ -108,7 +108,8 @@ def _of_record(recordings: Sequence[Recording], kt: Run | None, mapped: Orders) 
 class _Compared:
     """A run against a map, orders 1..m: those of run, map, and remainder `left`.
 
-    `noise` is the sum of squared amplitudes that scatter alone gives, 0 where nothing was repeated.
+    `noise` is the sum of squared amplitudes that scatter alone gives, 0 where nothing was repeated;
+    `dof` the degrees of freedom of the noise floors, infinite where they are of the orders around.
     """
 
     shown: Spectrum
@@ -119,6 +120,7 @@ class _Compared:
     mean_change: float
     mean_u: float | None
     noise: float
+    dof: float
 
     @property
     def fits(self) -> bool:
@@ -189,6 +191,7 @@ class _Compared:
                 "remaining_noise_floor": Column(self.left.noise_floor, unit, floor),
                 "removed": Column(removed, "1", "1 - remaining/amplitude"),
                 "removed_u": Column(u, "1", "standard uncertainty"),
+                "dof": dof_column(np.full(len(u), self.dof)),
             },
             "remaining",
             "part that a learned map would have removed, by order of rotation",
@@ -268,6 +271,7 @@ def _compare(group: RepeatedRuns, torque: Array, learned: LearnedTable, orders: 
         float(means.mean()) - learned.table.torque[_row(learned, group.speed)].mean(),
         float(means.std(ddof=1)) / math.sqrt(means.size) if means.size > 1 else None,
         noise,
+        2 * (len(remaining) - 1) or math.inf,
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from rigtool.experiments.learning.convergence import LearningRun, carried_noise
 from rigtool.experiments.learning.implementations.signals import found
 from rigtool.recipe import Recipe
-from rigtool.runfile import Column, Recording, Run, Table
+from rigtool.runfile import Column, Recording, Run, Table, dof_column
 
 DEFAULT_RUNS = {"A": 10, "standard": 10}
 """Learning runs [Fig. 44]; the other implementations make one at each speed."""
@@ -58,6 +58,7 @@ def iterations_table(history: Sequence[LearningRun], unit: str, what: str) -> Ta
             "rms_u": column(lambda run: run.rms_u, "standard uncertainty"),
             "peak": column(lambda run: run.peak, "of the repeatable part"),
             "peak_u": column(lambda run: run.peak_u, "standard uncertainty"),
+            "dof": dof_column([run.dof for run in history]),
             "non_repeatable_rms": column(
                 lambda run: run.scatter, "scatter of a single cycle: no learning can remove it"
             ),

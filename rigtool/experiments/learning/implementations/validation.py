@@ -14,7 +14,7 @@ from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.jackknife import standard_uncertainty
 from rigtool.quantity import Quantity, scattered
-from rigtool.runfile import Column, Table
+from rigtool.runfile import Column, Table, dof_column
 
 FALSE_ALARM_PROBABILITY = 0.01
 """Probability that noise alone makes a table look worse than no table at any of the speeds."""
@@ -80,6 +80,8 @@ def steady_outcome(found: Sequence[Steady]) -> Outcome:
         {
             "speed": Column(speed, "rad/s", "of the motor shaft"),
             **{k: Column(np.array(v), "N m", text) for k, (v, text) in numbers.items()},
+            "off_dof": dof_column([item.before.dof for item in ordered]),
+            "on_dof": dof_column([item.after.dof for item in ordered]),
             **{k: Column(np.array(v, dtype="u1"), "1", text) for k, (v, text) in flags.items()},
         },
         "on_peak",
