@@ -60,7 +60,7 @@ def changes(tables: Run, kt: Run, model: ForceModel) -> tuple[float, float, list
     """Return what a calibration other than that of the tables adds to u, N m and a share of the
     torque, and notes. Differences within `ANOTHER` u of both are none.
 
-    A zero that has moved by c since may have moved by as much again: a rectangle of c / sqrt(3).
+    A zero that has moved by c since may have moved by as much again: c is its standard uncertainty.
     """
     by, share, notes = 0.0, 0.0, []
     now = torque_per_ampere_at(kt, REFERENCE_DEGC)
@@ -73,7 +73,7 @@ def changes(tables: Run, kt: Run, model: ForceModel) -> tuple[float, float, list
         )
     stated = kt.results.get("amplifier_offset")
     if stated is not None and (moved := _difference(tables, OFFSET, stated)):
-        by = abs(moved) * torque_per_current(model, kt) / math.sqrt(3)
+        by = abs(moved) * torque_per_current(model, kt)
         notes.append(
             f"{kt.path} states a zero of the current that has moved by {moved * 1e3:.3g} mA "
             f"since {tables.path} was learned: it is taken from there, and u is wider by "

@@ -241,8 +241,9 @@ def require_rig(tables: Run, recipe: Recipe) -> None:
         ("nominal inertia, kg m2,", learned.rig.nominal_inertia, recipe.rig.nominal_inertia),
     ):
         if there != here:
+            then, now = (f"{v:.6g}" if isinstance(v, float) else v for v in (there, here))
             raise RunFileError(
-                f"{tables.path}: was learned with {what} {there}, the recipe has {here}: learn "
+                f"{tables.path}: was learned with {what} {then}, the recipe has {now}: learn "
                 "tables with this recipe, or give the recipe of that rig"
             )
 

@@ -61,7 +61,7 @@ def run(torque=0.03, low=2.0, high=12.0, apart=0.0, noisier=1.0, seed=1):
     return signals, apart, noisier
 
 
-def model(recordings=6, offset=0.1, elsewhere=1.0):
+def model(recordings=6, offset=0.1, elsewhere=1.0, between=1.0):
     """Torque is 3 mN m per rad from the learned end, beyond 13 rad none."""
 
     def estimate(path, apart=0.0, noisier=1.0):
@@ -81,7 +81,11 @@ def model(recordings=6, offset=0.1, elsewhere=1.0):
         read=lambda signals: estimate(signals.path),
         estimate=estimate,
         elsewhere=lambda path: path.position.min() > 2.5,
-        sides=[SimpleNamespace(elsewhere=1.0), SimpleNamespace(elsewhere=elsewhere)],
+        between=lambda path: path.position.max() > 11.5,
+        sides=[
+            SimpleNamespace(elsewhere=1.0, between=between),
+            SimpleNamespace(elsewhere=elsewhere, between=1.0),
+        ],
         loop=StrokeLoop(np.zeros(20), np.full(20, 0.2), offset, recordings),
     )
 
@@ -267,3 +271,14 @@ def test_tables_of_another_rig_are_refused():
     for other in ("another", None):
         with pytest.raises(UsageError, match=r"was learned on .* the runs are of bench"):
             imported._require_learned_here(runs, SimpleNamespace(rig=other, path="t.h5"))
+
+
+def test_speeds_that_were_not_learned_are_noted():
+    signals, *_ = run()
+    said = []
+    for between in (1.0, 1.4):
+        own = model(between=between)
+        notes = imported._require_inside([Measured(signals, own.estimate(signals.path))], own)
+        said.append([note for note in notes if "speeds of which none was learned" in note])
+    assert said[0] == []
+    assert "up to 1.4 times" in said[1][0]

@@ -1,6 +1,5 @@
 """A calibration other than that of the tables: what of it counts, and what it adds to u."""
 
-import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -53,7 +52,7 @@ def test_a_zero_that_moved_is_taken_and_may_have_moved_again(both):
     tables, kt = both(0.045, 21e-3)
     by, share, (note,) = changes(tables, kt, MODEL)
     moved = 20e-3 * 0.045 * MODEL.learned.known.torque_factor
-    assert (by, share) == (pytest.approx(moved / math.sqrt(3), rel=1e-3), 0.0)
+    assert (by, share) == (pytest.approx(moved, rel=1e-3), 0.0)
     assert "moved by 20 mA" in note
     assert with_zero_of(MODEL, kt).drive.offset == 21e-3
 
