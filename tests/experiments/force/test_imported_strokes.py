@@ -33,6 +33,7 @@ def test_a_load_is_the_mean_of_all_strokes_and_its_u_that_of_runs():
     # S of seven normal readings is distributed as chi
     assert_allclose(found["std_torque_u"] / found["std_torque"], chi.std(6) / 6**0.5, rtol=0.05)
     assert (found["cycles"][0], found["effective_cycles"][0]) == (7, 2)
+    assert found["mean_torque_dof"][0] == 1
 
 
 @pytest.mark.parametrize("direction", [1, -1])

@@ -6,9 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.between_set_points import UnsampledCurrent
 from rigtool.experiments.force.cycles import find_cycles, readings
 from rigtool.experiments.force.procedure import strokes
-from rigtool.experiments.force.results_method import resolution_u, unsteady_torque
+from rigtool.experiments.force.results_method import lacking_torque, resolution_u, unsteady_torque
 from rigtool.numerics.lowpass import lowpass
 from rigtool.recipe import load_recipe
 from tests.experiments.virtual_runs import RECIPE
@@ -64,3 +66,31 @@ def test_steps_of_the_current_are_a_rectangle_at_the_output(every):
     assert resolution_u(recording, recipe, 0.046) == pytest.approx(expected, rel=1e-6)
     short = SimpleNamespace(size=400, read=lambda name, first, last: asked[first:last])
     assert resolution_u(short, recipe, 0.046) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("part", "noted", "refused"),
+    [(0.09, True, False), (0.11, True, True), (0.012, True, False), (0.0045, False, False)],
+)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_what_samples_lack_is_compared_with_the_loads(part, noted, refused, sign, monkeypatch):
+    """At the speed of the motor: refused from a tenth of the largest load, and noted from a
+    hundredth of the smallest, here half of it."""
+    recipe = load_recipe(RECIPE, ("rig.attachment=instrument",))[0]
+    rig, settings, asked = recipe.rig, recipe.measure_force, []
+    largest = 4.0 * rig.load_arm * math.sin(math.radians(settings.measure_angle))
+    current = sign * part * largest / (rig.torque_factor * 0.046)
+
+    def at(speed):
+        asked.append(speed)
+        return current
+
+    monkeypatch.setattr(UnsampledCurrent, "of", lambda runs: SimpleNamespace(at=at))
+    if refused:
+        with pytest.raises(InsufficientDataError, match=r"10% of the largest load"):
+            lacking_torque(None, recipe, 0.046, (0.0, 2.0, 4.0))
+    else:
+        found, notes = lacking_torque(None, recipe, 0.046, (0.0, 2.0, 4.0))
+        assert found == pytest.approx(part * largest)
+        assert bool(notes) == noted
+    assert asked == [pytest.approx(2 * math.pi * settings.speed_rev_per_s * rig.angle_ratio)]

@@ -178,3 +178,20 @@ def test_the_mean_keeps_what_strokes_do_not_pay_back():
         assert kept_by_mean([own], RATIO) == pytest.approx(min(1.0, np.median(shares)))
         assert low <= kept_by_mean([own], RATIO) <= high
     assert kept_by_mean([record(drawn(2))], RATIO) == 1.0
+
+
+@pytest.mark.parametrize("cycles", [3, 8])
+def test_noise_that_fades_is_that_of_single_cycles(cycles):
+    """The mean of three cycles takes a third of its variance away, which is given back."""
+    rng, kept = np.random.default_rng(8), math.exp(-1 / (0.15 * ROWS_HZ))
+    records = []
+    for _ in range(48 // cycles):
+        fresh = rng.standard_normal(cycles * COUNT + 200)
+        noise = np.zeros_like(fresh)
+        for k in range(1, len(fresh)):
+            noise[k] = kept * noise[k - 1] + math.sqrt(1 - kept**2) * fresh[k]
+        records.append(record(4e-4 * noise[200:].reshape(cycles, COUNT)))
+    found = deviations(records, RATIO, FACTOR)
+    assert found.noise == pytest.approx(4e-4, rel=0.12)
+    assert found.noise_time == pytest.approx(0.15, rel=0.4)
+    assert found.stroke < 2e-4

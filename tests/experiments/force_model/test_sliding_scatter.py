@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rigtool.experiments.force_model.records import ROWS_HZ
-from rigtool.experiments.force_model.sliding_scatter import moments
+from rigtool.experiments.force_model.sliding_scatter import _correlation, moments
 
 ROWS, MEMORY, POWER = 6000, 0.15, 3.0
 
@@ -60,3 +60,19 @@ def test_moments_are_those_of_noise_of_first_order(gaps):
 def test_what_a_model_misses_comes_back_in_each_pass():
     once, thrice = (moments(Sums(0, passes), None, np.zeros(1), 1.0) for passes in (1, 3))
     np.testing.assert_allclose(thrice, 3 * once)
+
+
+def test_moments_are_sums_over_lags_of_the_correlation():
+    """Also of functions so fast that noise which lasts hardly reaches them."""
+    own = Sums(5)
+    time = np.arange(ROWS) / ROWS_HZ
+    own.columns = np.stack([np.ones(ROWS), np.sin(2 * np.pi * 40 * time)])
+    found = moments(own, None, np.zeros(1), 1.0)
+    correlation, expected = _correlation(own.records, list(own.noise)), np.zeros(2)
+    for lag, part in enumerate(correlation):
+        products = np.sum(own.columns[:, : ROWS - lag] * own.columns[:, lag:], axis=1)
+        expected += part * products * (2 if lag else 1)
+    assert expected[1] < 0.03 * expected[0]
+    for one, noise, variance in zip(found, own.noise, own.variance, strict=True):
+        power = np.mean(noise**2) / variance**2
+        np.testing.assert_allclose(np.diag(one), power * expected, rtol=0.02)

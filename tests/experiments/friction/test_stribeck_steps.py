@@ -121,13 +121,15 @@ def stribeck(v, static, velocity, exponent):
     return 2.3e-3 + 5e-5 * v + (static - 2.3e-3) * np.exp(-((v / velocity) ** exponent))
 
 
-def test_the_stated_line_is_the_mean_over_models_by_their_akaike_weights():
+@pytest.mark.parametrize("static", [3.0e-3, 2.27e-3])
+def test_the_stated_line_is_the_mean_over_models_by_their_akaike_weights(static):
     """Half of the weight is the line's before the data speak, the rest is shared by the shapes, and
-    within a shape that is not determined by its velocities."""
+    within a shape that is not determined by its velocities; friction that rises with speed is no
+    Stribeck effect."""
     rng = np.random.default_rng(4)
     v = np.geomspace(0.4, 30, 9)
     u = np.full(9, 4e-5)
-    f = stribeck(v, 3.0e-3, 0.5, 2.0) + u * rng.standard_normal(9)
+    f = stribeck(v, static, 0.5, 2.0) + u * rng.standard_normal(9)
     chosen, curves = _line(v, f, 1 / u), {2.0: None, 1.0: None}
     found, spread = _averaged(chosen, curves, v, f, 1 / u)
 
@@ -150,7 +152,7 @@ def test_the_stated_line_is_the_mean_over_models_by_their_akaike_weights():
     assert_allclose(found, expected, rtol=1e-9)
     apart = lines - expected
     assert_allclose(spread, (apart * weights[:, None]).T @ apart, rtol=1e-9)
-    assert 0.05 < weights[0] < 0.95
+    assert 0.05 < weights[0] < (0.95 if static > 2.3e-3 else 1.0)
 
 
 def test_a_chosen_curve_states_its_own_line_and_the_others_as_uncertainty():
