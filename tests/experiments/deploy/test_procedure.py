@@ -299,8 +299,9 @@ def test_a_table_that_made_it_worse_is_refused(tables, kt):
 
 
 @short
-def test_a_table_that_was_never_tried_is_said_to_be(tables, kt):
-    tables.tables = {k: v for k, v in tables.tables.items() if k != "residual_waveforms"}
+def test_a_table_that_was_never_tried_is_said_to_be(tables, kt, monkeypatch):
+    untried = {k: v for k, v in tables.tables.items() if k != "residual_waveforms"}
+    monkeypatch.setattr(tables, "_tables", untried)
     with serve(MoteusEmulator()) as server:
         done = run_deploy(server.port, tables, kt, dry_run=True)
     assert any("was not tried while it was learned" in remark for remark in done.remarks)

@@ -87,7 +87,7 @@ def test_what_samples_lack_is_compared_with_the_loads(part, noted, refused, sign
 
     monkeypatch.setattr(UnsampledCurrent, "of", lambda runs: SimpleNamespace(at=at))
     if refused:
-        with pytest.raises(InsufficientDataError, match=r"10% of the largest load"):
+        with pytest.raises(InsufficientDataError, match=r"10 % of the largest load"):
             lacking_torque(None, recipe, 0.046, (0.0, 2.0, 4.0))
     else:
         found, notes = lacking_torque(None, recipe, 0.046, (0.0, 2.0, 4.0))

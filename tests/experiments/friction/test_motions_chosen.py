@@ -225,10 +225,12 @@ SPEED = np.array([1.0, 2, 4, 8, 16, 24, -1, -2, -4, -8, -16, -24])
 
 def test_differences_are_taken_at_speeds_within_a_hundredth():
     other = SPEED * np.where(np.arange(12) % 2, 1.009, 1.011)
-    found = _minus((SPEED, 3 * SPEED, 0.3 + 0 * SPEED), (other, SPEED, 0.4 + 0 * SPEED))
+    one = 0 * SPEED + 1
+    found = _minus((SPEED, 3 * SPEED, 0.3 * one, 9 * one), (other, SPEED, 0.4 * one, 16 * one))
     assert_allclose(found[0], SPEED[1::2])
     assert_allclose(found[1], 2 * SPEED[1::2])
     assert_allclose(found[2], 0.5)
+    assert_allclose(found[3], 0.5**4 / (0.3**4 / 9 + 0.4**4 / 16))  # GUM G.4.1
 
 
 @pytest.mark.parametrize("scatter", [0.3, 3.0])
@@ -236,9 +238,9 @@ def test_a_difference_is_the_weighted_line_of_its_signs_and_speeds(scatter):
     rng = np.random.default_rng(2)
     u = rng.uniform(0.02, 0.05, 12)
     torque = 2 * np.sign(SPEED) + 0.1 * SPEED + 0.3 + scatter * u * rng.standard_normal(12)
-    columns = {"torque": SimpleNamespace(values=torque, unit="N m")}
-    own = type("Holds", (dict,), {"columns": columns})(speed=SPEED, torque=torque, u=u)
-    base = type("Holds", (dict,), {"columns": columns})(speed=SPEED, torque=0 * u, u=0 * u)
+    columns, dof = {"torque": SimpleNamespace(values=torque, unit="N m")}, np.full(12, 4.0)
+    own = type("Holds", (dict,), {"columns": columns})(speed=SPEED, torque=torque, u=u, dof=dof)
+    base = type("Holds", (dict,), {"columns": columns})(speed=SPEED, torque=0 * u, u=0 * u, dof=dof)
     against = SimpleNamespace(
         path="a.h5",
         tables={"holds": base},
@@ -262,7 +264,7 @@ def test_a_difference_is_the_weighted_line_of_its_signs_and_speeds(scatter):
     for count, enough in ((6, True), (5, False)):
         part = np.r_[:3, 6 : 3 + count]
         few = type("Holds", (dict,), {"columns": columns})(
-            speed=SPEED[part], torque=torque[part], u=u[part]
+            speed=SPEED[part], torque=torque[part], u=u[part], dof=dof[part]
         )
         again = Found(results={}, tables={"holds": few}, notes=[])
         if enough:
@@ -279,7 +281,7 @@ def test_errors_that_differences_share_are_taken_off_their_ratio():
     for _ in range(400):
         base, other, mine = u * rng.standard_normal((3, 12))
         curves = [
-            (SPEED, level * np.sign(SPEED) + noise, np.full(12, u))
+            (SPEED, level * np.sign(SPEED) + noise, np.full(12, u), np.full(12, 4.0))
             for level, noise in ((3.0, mine), (0.0, base), (1.0, other))
         ]
         found.append(_ratio(*curves))

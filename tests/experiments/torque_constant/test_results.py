@@ -76,7 +76,6 @@ def test_each_result_has_a_budget_of_its_own():
     slopes = SimpleNamespace(
         hysteresis=4e-3, hysteresis_u=1e-5, hysteresis_dof=7, lasting_heating=2e-4,
         lasting_heating_u=1e-5, heating_dof=5.0, lasting_heating_spread=2e-5,
-        lasting_heating_path=2e-5,
     )  # fmt: skip
     found = calibration(
         linearity=linearity,
@@ -105,7 +104,7 @@ def test_each_result_has_a_budget_of_its_own():
     assert {line.value for line in hysteresis.budget if line.unit == "1"} == {1.0}
     assert hysteresis.dof == pytest.approx(7 * (hysteresis.u / 1e-5) ** 4, rel=1e-9)
     heat = results["winding_heat_loss"]
-    assert (heat.value, heat.u) == pytest.approx((2e-4, 3e-5), rel=1e-9)
-    assert heat.dof == pytest.approx(5 * 3**4, rel=1e-9)
+    assert (heat.value, heat.u) == pytest.approx((2e-4, math.hypot(1e-5, 2e-5)), rel=1e-9)
+    assert heat.dof == pytest.approx(5 * 5**2, rel=1e-9)
     slopes.hysteresis_dof = 0
     assert _results(found, 2e-3)["hysteresis_torque"].u is None

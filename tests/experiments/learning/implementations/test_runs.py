@@ -27,7 +27,7 @@ from tests.experiments.virtual_runs import RECIPE
 def judged(*ratios):
     """Runs of which noise explains a ratio of two."""
     return [
-        LearningRun(3e-3 - 1e-4 * n, 1e-5, 5e-3, 2e-5, 0.4e-3 + n * 1e-5, ratio, 2.0)
+        LearningRun(3e-3 - 1e-4 * n, 1e-5, 5e-3, 2e-5, 7, 0.4e-3 + n * 1e-5, ratio, 2.0)
         for n, ratio in enumerate(ratios)
     ]
 
@@ -60,7 +60,7 @@ def test_runs_are_those_that_were_made():
 
 def test_notes_state_why_learning_ended_and_what_remains():
     def note(*ratios, most=5):
-        return " ".join(iterations_notes(judged(*ratios), 1e3, "mN m", most))
+        return " ".join(iterations_notes(judged(*ratios), "mN m", most))
 
     assert note(1.0) == (
         "nothing repeats above chance: all there is, 0.4 mN m rms in a single cycle, cannot be "
@@ -81,6 +81,7 @@ def test_the_table_has_a_row_for_each_run():
     np.testing.assert_allclose(table["rms"], [3e-3, 2.9e-3])
     np.testing.assert_allclose(table["non_repeatable_rms"], [0.4e-3, 0.41e-3])
     np.testing.assert_allclose(table["ratio"], [9, 3])
+    np.testing.assert_allclose(table["dof"], [7, 7])
 
 
 FRICTION = {COULOMB: Quantity(2e-3, "N m", 0.0), VISCOUS: Quantity(1e-4, "N m s/rad", 0.0)}
