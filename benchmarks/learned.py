@@ -180,7 +180,8 @@ def read(instrument: SensorProperties, recorded: Recorded) -> TorqueRows:
     """Return the torque over a recording, as `measure-force` reads it."""
     samples = np.vstack([samples_of(recorded), recorded.channels["reference_torque"]])
     piece = PIECE_STEPS * STEP
-    with ThreadPoolExecutor(1) as workers:
+    with ThreadPoolExecutor(1) as smoothing, ThreadPoolExecutor(1) as testing:
+        workers = smoothing, testing
         stretch = Stretch("", instrument, 0.0, samples.shape[1], workers)
         for first in range(0, samples.shape[1], piece):
             stretch.add(samples[:, first : first + piece])
