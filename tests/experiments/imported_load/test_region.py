@@ -58,13 +58,13 @@ def test_a_stroke_reaches_three_hundredths_beyond_both_ends():
 def test_a_region_holds_what_was_learned_in_each_cell_and_direction():
     place = np.tile((np.arange(STROKE_CELLS) + 0.5) / STROKE_CELLS, 2)
     side = np.repeat([1.0, -1.0], STROKE_CELLS)
-    speed, torque = side * (1 + 10 * place), 0.05 + 0.1 * place + 0.3 * (side < 0)
+    speed, torque = side * (0.1 + place), 0.05 + 0.1 * place + 0.3 * (side < 0)
     margins = np.array([[0.001, 0.002], [0.003, 0.004]])
     region = learn_region(place, speed, torque, margins)
     assert region.holds(place, speed, torque).all()
     near = 1 / STROKE_CELLS  # the neighbours' speeds and torques count, too
     inner = (place > near) & (place < 1 - near)
-    fast, slow = side * (1 + 10 * (place + near)) * 1.1, side * (1 + 10 * (place - near)) / 1.1
+    fast, slow = side * (0.1 + place + near) * 1.1, side * (0.1 + place - near) / 1.1
     for limit, beyond in ((fast, 1.001), (slow, 0.999)):
         assert region.moves(
             place,

@@ -9,9 +9,10 @@ import pytest
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.learning.check import procedure as ilc_check
 from rigtool.experiments.learning.check.procedure import PROCEDURE as ILC_CHECK
-from rigtool.experiments.learning.imported import _steadied
+from rigtool.experiments.learning.imported import _Row, _steadied
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.learning.stored_table import learned_table_from, lookup_table_from
+from rigtool.experiments.ripple.orders import NEIGHBOURING_ORDERS, Spectrum
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
 from rigtool.quantity import Quantity
@@ -274,3 +275,20 @@ def test_a_run_of_the_bench_has_the_verdict_of_the_bench_against_its_table(
     shift = outcome.results["table_shift"]
     assert ilc_check.fits(outcome) == fitting
     assert abs(shift.value - counts * 2 * np.pi / 2000) < 2.5 * shift.u
+
+
+@pytest.mark.parametrize("repeats", [1, 5])
+def test_a_map_s_uncertainty_has_the_degrees_of_freedom_of_its_parts(repeats):
+    """GUM G.4.1, over the mean and each order; of one turn, an order's noise is that of others."""
+    floor = np.array([2e-3, 5e-3, 1e-3])
+    amplitude = np.array([0.1, 0.2, 2e-3])  # the last one does not stand out
+    spectrum = Spectrum(np.array([1, 2, 3]), amplitude, np.zeros(3), floor)
+    means = 0.02 * np.random.default_rng(1).standard_normal(repeats)
+    row = _Row.of(spectrum, means, None)
+    dof = 2 * (repeats - 1) if repeats > 1 else 2 * 2 * NEIGHBOURING_ORDERS
+    parts = [(u / math.sqrt(2), dof) for u in floor[:2]]
+    if repeats > 1:
+        parts.append((float(means.std(ddof=1)) / math.sqrt(repeats), repeats - 1))
+    square = sum(u**2 for u, _ in parts)
+    assert row.u == pytest.approx(math.sqrt(square), rel=1e-12)
+    assert row.u_dof == pytest.approx(square**2 / sum(u**4 / n for u, n in parts), rel=1e-12)

@@ -49,6 +49,9 @@ def test_a_run_that_finds_nothing_makes_no_update(ratios, last, factor):
 def test_runs_are_those_that_were_made():
     recipe = load_recipe(RECIPE, ("ilc_learn.iterations=3",))[0]
     assert runs_at_most(recipe) == 3
+    for name, runs in (("A", 10), ("standard", 10), ("B", 1), ("C", 1)):
+        own = load_recipe(RECIPE, (f"ilc_learn.implementation={name}",))[0]
+        assert runs_at_most(own) == runs
     assert [kind_of(n) for n in (0, 1, 12)] == ["learn", "iterate_01", "iterate_12"]
     made = {"learn_": ["a"], "iterate_01_": ["b"], "iterate_02_": [], "iterate_03_": ["d"]}
     run = SimpleNamespace(path="a.h5", recordings_named=lambda kind: made[kind])
