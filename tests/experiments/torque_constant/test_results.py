@@ -108,3 +108,22 @@ def test_each_result_has_a_budget_of_its_own():
     assert heat.dof == pytest.approx(5 * 5**2, rel=1e-9)
     slopes.hysteresis_dof = 0
     assert _results(found, 2e-3)["hysteresis_torque"].u is None
+
+
+@pytest.mark.parametrize("dof", [0, 1])
+def test_two_staircases_show_the_scatter_of_their_hysteresis_and_one_none(dof):
+    slopes = SimpleNamespace(
+        hysteresis=4e-3, hysteresis_u=1e-5, hysteresis_dof=dof, lasting_heating=2e-4,
+        lasting_heating_u=1e-5, heating_dof=5.0, lasting_heating_spread=2e-5,
+    )  # fmt: skip
+    linearity = SimpleNamespace(
+        gain=1.0, gain_u=1e-4, offset=0.0, offset_u=1e-4, dof=9,
+        deviation=1e-3, deviation_u=1e-4, deviation_dof=9,
+    )  # fmt: skip
+    found = calibration(
+        linearity=linearity, slopes=slopes, components={}, torque_constant=None,
+        constant_error=None, ripple=None, first_ripple=None,
+    )  # fmt: skip
+    own = _results(found, 0.0)["hysteresis_torque"]
+    assert (own.u, own.dof) == ((1e-5, 1) if dof else (None, None))
+    assert (own.reason is None) == (dof == 1)
