@@ -306,3 +306,15 @@ def test_a_run_of_one_implementation_is_not_analysed_as_another(asked, name):
     recipe, _ = load_recipe(RECIPE, [f"ilc_learn.implementation={name}"])
     with pytest.raises(UsageError, match=f"{asked}: c.h5 was recorded with implementation {name}"):
         ilc_learn.of_stored(asked).analyse([SimpleNamespace(path="c.h5")], recipe, kt=None)
+
+
+@pytest.mark.parametrize("name", get_args(IlcLearn.model_fields["implementation"].annotation))
+def test_d_alone_learns_from_imported_runs_with_known_loads(name):
+    """Others make a map of the turn from them."""
+    own = ilc_learn.of_stored(name)
+    if name == "D":
+        assert own.analyse_imported is not ILC_LEARN.analyse_imported
+        assert own.imported_settings == {"measure_force.lowpass_hz": "bandwidth_hz"}
+    else:
+        assert own.analyse_imported is ILC_LEARN.analyse_imported
+        assert own.imported_settings == ILC_LEARN.imported_settings

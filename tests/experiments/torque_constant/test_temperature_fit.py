@@ -207,8 +207,11 @@ def test_scatter_of_a_change_with_temperature_is_that_of_noise_on_the_plateaus()
     expected = np.std([trend @ solution.fit.solve(each)[0][:, 0] for each in noise])
     own = np.linalg.norm(trend * solution.u)
     assert expected > 1.5 * own
-    stated = np.hypot(_trend_scatter(stairs, solution, trend, 0.0), own)
-    assert_allclose(stated, expected, rtol=0.4)
+    beyond = _trend_scatter(stairs, solution, trend, 0.0)
+    assert_allclose(np.hypot(beyond, own), expected, rtol=0.4)
+    # what the gauge's resolution gives is stated on its own
+    assert_allclose(_trend_scatter(stairs, solution, trend, 0.6 * beyond), 0.8 * beyond)
+    assert _trend_scatter(stairs, solution, trend, 2 * beyond) == 0.0
 
 
 def test_ripple_that_few_angles_may_not_show_has_no_uncertainty():
