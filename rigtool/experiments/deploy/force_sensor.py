@@ -15,7 +15,7 @@ from importlib.resources import files
 import numpy as np
 
 from rigtool.experiments.deploy.c_header import comment
-from rigtool.experiments.force_filter import creeping, kalman, motion_states, passed
+from rigtool.experiments.force_filter import creeping, kalman, motion_states, passed, rests
 from rigtool.experiments.force_filter.estimate import idle_steps
 from rigtool.experiments.force_model.drive import VISCOUS
 from rigtool.experiments.force_model.steps import LONGEST_EXACT, NO_CURRENT
@@ -68,7 +68,7 @@ def sensor_header(
         "RESTED_STEPS": creeping.steps_of(creeping.RESTED_TIME, grid.step_time),
         "SWUNG_STEPS": creeping.steps_of(creeping.LASTING_TIME, grid.step_time),
         "BUSY_STEPS": _lasting(model.uncertainty.busy_time, grid.step_time),
-        "REST_STEPS": int(kalman.rest_steps(grid.step_time)),
+        "REST_STEPS": int(rests.rest_steps(grid.step_time)),
         "ROW_STEPS": ripple_rows.row_steps(grid.step_time),
         **dict(zip(("DRAW_FACTOR", "DRAW_ADDED", "DRAW_MODULUS"), ripple_rows.DRAW, strict=True)),
         "LATE_ROWS": ripple_rows.late_rows(grid.step_time),

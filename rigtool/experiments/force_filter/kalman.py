@@ -52,6 +52,7 @@ from rigtool.experiments.force_filter.plant import (
     Record,
     advance,
 )
+from rigtool.experiments.force_filter.rests import limits_rest
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled, compiled_allocating
 
@@ -60,11 +61,6 @@ SHORT, LONG = 6e-3, 0.1
 
 STEP_THRESHOLD, SLOW_THRESHOLD = 4e-3, 10e-3
 """Sums (standard deviations times s) from which on a step, or a slow change, is under way."""
-
-REST_TIME = 1.0
-"""Time within two counts, s, after which the stroke's deviation returns to its prior, and again as
-the rotor leaves them: in a rest the errors of the equations, small but of one sign, pass for a
-deviation, which is neither that of the stroke before nor that of the one after."""
 
 FOLLOWED = (ANGLE, SPEED, HOUSING, SINE, COSINE, TORQUE)
 """States through which the torque follows an unknown drive torque: `power_up`."""
@@ -160,28 +156,6 @@ def begin(
     state["covariance"][0, :, : passed.JOINT_STATES] = joint @ covariance @ joint.T
     state["low"] = low
     return state
-
-
-@compiled
-def rest_steps(span: float) -> float:
-    """Return the steps, of `span` s, that `REST_TIME` holds."""
-    return math.floor(REST_TIME / span + 1e-6)
-
-
-@compiled
-def limits_rest(s: Record, moved: float, width: float, span: float) -> bool:
-    """Count the steps within two counts; return whether a rest has lasted for `REST_TIME`, or one
-    that had ends, with this move, rad."""
-    before, up, down = max(s.rested_up, s.rested_down), s.rested_up, s.rested_down
-    s.rested_up, s.rested_down = 0.0, 0.0
-    if abs(moved) < 0.5 * width:
-        s.rested_up, s.rested_down = up + 1.0, down + 1.0
-    elif abs(moved - width) < 0.5 * width:
-        s.rested_down = up + 1.0
-    elif abs(moved + width) < 0.5 * width:
-        s.rested_up = down + 1.0
-    after, limit = max(s.rested_up, s.rested_down), rest_steps(span)
-    return before > limit > after or after > limit >= before
 
 
 @compiled

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigtool.experiments.force_filter.kalman import REST_TIME, STATE, limits_rest, rest_steps
+from rigtool.experiments.force_filter.kalman import STATE
+from rigtool.experiments.force_filter.rests import REST_TIME, limits_rest, rest_steps
 
 SPAN = REST_TIME / 5
 WIDTH = 0.01
