@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from scipy.stats import chi2
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.friction import procedure_analysis
@@ -30,7 +31,10 @@ from rigtool.experiments.friction.holds import (
     find_holds,
     pool,
 )
-from rigtool.experiments.friction.low_current import require_calibrated_gain
+from rigtool.experiments.friction.low_current import (
+    require_calibrated_gain,
+    require_linear_at_low_current,
+)
 from rigtool.experiments.friction.procedure_analysis import (
     _fit_sweep,
     _note_lacking,
@@ -492,3 +496,30 @@ def test_two_samples_in_a_range_of_speed_are_the_fewest():
         found = torque_speed_curve(time=time, setpoint=angle, torque=5 * speed, inertia=0.0)
         assert len(found.speed) >= count - 5
         assert_allclose(found.torque, 5 * found.speed, rtol=0.02)
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-3])
+@pytest.mark.parametrize("passes", [True, False])
+def test_deviations_beyond_noise_are_a_25th_of_the_current_that_friction_takes(noise, passes):
+    """Least squares through means; the chi-square of scipy that noise leaves in one of 100."""
+    rng, bins, size = np.random.default_rng(8), 20, 60
+    level = np.repeat(np.linspace(0.04, 0.06, bins), size)
+    scatter = noise * np.tile(rng.permutation(np.linspace(-1, 1, size)), bins)
+    current = 2e-3 + 1.1 * level + scatter + 2e-3 * np.repeat(rng.standard_normal(bins), size)
+    ones = np.ones_like(level)
+    design = np.column_stack([ones, level])
+    line = design @ np.linalg.lstsq(design, current, rcond=None)[0]
+    off = (current - line).reshape(bins, size).mean(axis=1)
+    by_noise = np.mean((current - line) ** 2) * chi2.isf(0.01, bins - 2)
+    rms = math.sqrt((size * off @ off - by_noise) / (bins * size))
+    # few samples at one higher set point, which is no part of the range
+    signals = {
+        "current_setpoint": np.append(level, np.full(10, 0.07)),
+        "current": np.append(current, np.full(10, 9.0)),
+    }
+    friction = rms / 0.04 * (1.001 if passes else 0.999)
+    if passes:
+        require_linear_at_low_current(**signals, friction_current=friction)
+        return
+    with pytest.raises(InsufficientDataError, match="not linear at low current"):
+        require_linear_at_low_current(**signals, friction_current=friction)
