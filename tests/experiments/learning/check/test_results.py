@@ -25,7 +25,7 @@ def health(**changes):
         "friction": HealthChange(0.0, 1e-5),
         "offset": HealthChange(0.0, 1e-5),
         "mismatch": 1e-3,
-        "shape": 1e-3,
+        "shape": 1.1e-3,
         "scaled": 0.9e-3,
         "shifted": 0.8e-3,
         "even": 0.9e-3,
@@ -114,6 +114,8 @@ def test_numbers_have_the_degrees_of_freedom_of_the_fewest_moves():
         assert (results[name].value, results[name].u) == pytest.approx((value, u), rel=1e-12)
         assert results[name].dof == 3
     assert results["table_fits"].value == 0
+    for name, value in (("", 1e-3), ("pattern_", 1.1e-3), ("shifted_", 0.8e-3)):
+        assert results[f"{name}mismatch_rms"].value == value
     off = [
         row.mean - scale * np.interp(position, *_line(table))
         for row, scale in zip(rows, (1, 2), strict=True)
@@ -123,7 +125,14 @@ def test_numbers_have_the_degrees_of_freedom_of_the_fewest_moves():
         health_by_speed["mismatch_rms"], [np.sqrt(np.mean(o**2)) for o in off], rtol=1e-9
     )
     np.testing.assert_allclose(health_by_speed["mean_change"], [o.mean() for o in off], rtol=1e-9)
+    scatter = [np.sqrt(row.moves.var(axis=0, ddof=1).mean()) for row in rows]
+    np.testing.assert_allclose(health_by_speed["non_repeatable_rms"], scatter)
     waves = found.tables["health_waveforms"]
+    for table_of in (health_by_speed, waves):
+        assert table_of["speed"].tolist() == [2.0, 5.0]
+    np.testing.assert_array_equal(waves["position"], position)
+    expected = [row.moves.std(axis=0, ddof=1) / math.sqrt(len(row.moves)) for row in rows]
+    np.testing.assert_allclose(waves["u"], expected)
     np.testing.assert_allclose(waves["now"] - waves["learned"], off, rtol=1e-9, atol=1e-12)
     np.testing.assert_array_equal(np.ravel(waves["dof"]), [3, 5])
 
