@@ -13,6 +13,7 @@ from rigtool.experiments.learning.implementations import a_one_speed as one_spee
 from rigtool.experiments.learning.implementations import standard_trajectory as trajectory
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.learning.procedure_design import design_filters
+from rigtool.experiments.learning.rows import Row
 from rigtool.experiments.learning.stored_table import lookup_table_from, require_same_rig
 from rigtool.recipe import load_recipe, override_recipe
 from rigtool.runfile import open_run
@@ -392,3 +393,22 @@ def test_c_learns_in_several_runs_and_holds_between_its_speeds(folder, kt):
     assert outcome.tables["iterations"]["rms"][1] < 0.15 * outcome.tables["iterations"]["rms"][0]
     again = run(ILC_LEARN, path, folder / "c-again.h5", kt=kt)
     assert again.results == outcome.results
+
+
+def test_the_map_and_its_tuning_are_stored_as_they_were_found():
+    rng = np.random.default_rng(1)
+    names = ("speed", "amplitude", "amplitude_u", "dof", "shift", "shift_u", "correlation")
+    tuning = SimpleNamespace(**{name: rng.random(4) for name in names})
+    position = REV * np.arange(6) / 6
+    row = Row(REV, rng.random((5, 6)))
+    taught = SimpleNamespace(row=row, tuning=tuning, table=SimpleNamespace(position=position))
+    found = one_speed.OneSpeed.learned_tables(SimpleNamespace(), taught)
+    for name in names:
+        np.testing.assert_array_equal(found["tuning"][name], getattr(tuning, name), err_msg=name)
+    units = {name: found["tuning"].columns[name].unit for name in names}
+    assert [units[name] for name in ("speed", "amplitude", "shift")] == ["rad/s", "1", "rad"]
+    learned = found["learned_map"]
+    np.testing.assert_array_equal(learned["position"], position)
+    np.testing.assert_allclose(learned["torque"], row.moves.mean(axis=0))
+    np.testing.assert_allclose(learned["u"], row.moves.std(axis=0, ddof=1) / np.sqrt(5))
+    np.testing.assert_array_equal(learned["dof"], np.full(6, 4))
