@@ -7,10 +7,12 @@ import pytest
 from scipy.stats import truncnorm
 
 from rigtool.experiments.force_filter import kalman, passed
+from rigtool.experiments.force_filter.linear import ROW_LENGTH, forwards
 from rigtool.experiments.force_filter.plant import (
     ANGLE,
     BRISTLE,
     COSINE,
+    FACTOR_COUNT,
     GRASPER,
     GRASPER_SPEED,
     HOUSING,
@@ -254,3 +256,28 @@ def test_a_change_lasts_for_its_time(name, level, rate):
         _, spread, outputs = step(mean, 1e-12 * covariance, 1e6, -5e5, begun=begun)
         assert outputs[2] == after
         assert spread[TORQUE, TORQUE] == pytest.approx(rate**2 * SPAN, rel=1e-3)
+
+
+@pytest.mark.parametrize("slow", [SPEED, GRASPER_SPEED])
+def test_the_direction_of_a_slow_shaft_is_as_uncertain_as_its_speed(slow):
+    """Within half of the deviation of either speed before the step; as matrices."""
+    mean, covariance = started(2)
+    mean[[SPEED, GRASPER_SPEED]] = 0.4, 0.5
+    mean[slow] = 1e-3
+    spreads = 0.5 * np.sqrt(np.diag(covariance)[[SPEED, GRASPER_SPEED]])
+    _, found, _ = step(mean, covariance, 1e6, -5e5, uncertainty=replace(U, undecided=0.5))
+    noise = predicted(mean, 0 * covariance, U.torque_rate)[1][:STATES, :STATES]
+
+    def after(spread, outer):
+        x, factors = mean[:STATES].copy(), np.zeros((SAMPLES, FACTOR_COUNT))
+        rows = np.eye(STATES, ROW_LENGTH).ravel()
+        for k, (torque, drag) in enumerate(zip(DRIVE[0], DRAG[0], strict=True)):
+            given = torque, drag, factors, k, spread, outer
+            advance(x, as_record(PLANT)[0], PLANT.friction_map, *given)
+            forwards(rows, STATES, factors, k)
+        slope = rows.reshape(STATES, ROW_LENGTH)[:, :STATES]
+        slope[NOISE] *= np.exp(-SPAN / U.friction_noise_time)
+        return slope @ covariance[:STATES, :STATES] @ slope.T + noise
+
+    assert_covariance(found[:STATES, :STATES], after(*spreads), 1e-9)
+    assert np.abs(after(*(2 * spreads)) / after(*spreads) - 1).max() > 1e-6
