@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.friction import procedure_analysis
+from rigtool.experiments.friction import procedure, procedure_analysis
 from rigtool.experiments.friction.breakaway import (
     BREAKAWAY_TIME,
     Breakaway,
@@ -45,6 +45,8 @@ from rigtool.experiments.friction.results import Findings, Scale
 from rigtool.experiments.friction.stribeck_fit import fit_directions
 from rigtool.experiments.friction.sweep import SPEED_BINS, torque_speed_curve
 from rigtool.quantity import Quantity
+from rigtool.recipe import load_recipe
+from tests.experiments.virtual_runs import RECIPE
 
 # -- holds
 
@@ -230,6 +232,8 @@ def test_holds_that_shake_are_left_out_by_what_shakes_them():
         speed = note.split("left out at ")[1].split(" rad/s")[0]
         assert starts[speed] in note
         assert f"more than {12 if speed == '10' else 25} %" in note
+    _, _, plain = fit_holds([whole])  # without an encoder that is known, it is the shaft
+    assert sorted("starts and stops" in note for note in plain) == [False, True]
     with pytest.raises(InsufficientDataError, match=r"left out at 1.*do not separate"):
         fit_holds([whole[np.array([0, 2, 4])]])
 
@@ -523,3 +527,15 @@ def test_deviations_beyond_noise_are_a_25th_of_the_current_that_friction_takes(n
         return
     with pytest.raises(InsufficientDataError, match="not linear at low current"):
         require_linear_at_low_current(**signals, friction_current=friction)
+
+
+def test_a_profile_changes_speed_at_one_rate_and_holds_whole_turns():
+    settings = load_recipe(RECIPE, ())[0].stribeck
+    holds = [(5.0, 3), (20.0, 2), (-20.0, 2)]
+    found = procedure._profile(settings, holds)
+    times, speeds = np.array(found.times), np.array(found.speeds)
+    rate = settings.speed_max / procedure.RUN_UP
+    lasting = [procedure.SETTLE_TIME + n * 2 * np.pi / abs(v) for v, n in holds]
+    assert_allclose(speeds, [0, 5, 5, 20, 20, -20, -20, 0])
+    assert_allclose(np.diff(times)[1::2], lasting)
+    assert_allclose(np.diff(times)[::2], np.array([5, 15, 40, 20]) / rate)
