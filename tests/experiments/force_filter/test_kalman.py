@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import truncnorm
 
-from rigtool.experiments.force_filter import kalman, passed
+from rigtool.experiments.force_filter import kalman, passed, smoother
 from rigtool.experiments.force_filter.linear import ROW_LENGTH, forwards
 from rigtool.experiments.force_filter.plant import (
     ANGLE,
@@ -281,3 +281,50 @@ def test_the_direction_of_a_slow_shaft_is_as_uncertain_as_its_speed(slow):
 
     assert_covariance(found[:STATES, :STATES], after(*spreads), 1e-9)
     assert np.abs(after(*(2 * spreads)) / after(*spreads) - 1).max() > 1e-6
+
+
+def run(state, lows, width, steps):
+    """Filter steps of a state, which changes; return their means."""
+    count = len(lows)
+    means, outputs = np.empty((count, STATES)), np.empty((count, kalman.OUTPUTS))
+    given = np.repeat(DRIVE, count, 0), np.repeat(DRAG, count, 0), np.array(lows), width
+    quiet = np.zeros(count, dtype=bool), LOW_PASS, np.zeros(count)
+    records = as_record(PLANT), as_record(U), PLANT.friction_map
+    kalman.run(state, *records, *given, *quiet, means, outputs, steps)
+    return means
+
+
+def test_each_step_keeps_what_the_smoother_needs():
+    """Of two steps, a stroke begins with the first; each beside the filter before and after it."""
+    mean, covariance = started(3)
+    before, whole = predicted(mean, covariance, U.torque_rate)
+    width = 1.5 * np.sqrt(whole[ANGLE, ANGLE])
+    lows = before[ANGLE] + np.array([-0.4, 0.8]) * width
+    kept = smoother.room(2, SAMPLES)
+    for part in kept:
+        part[:] = np.nan
+    state = kalman.begin(PLANT, U, lows[0], width, LOW_PASS)
+    state["mean"][0], state["passed"][0] = mean[:STATES], mean[STATES:]
+    state["covariance"][0, :, :JOINT] = covariance
+    state["direction"] = -1.0
+    together = run(state.copy(), lows, width, kept)
+    derivative, fresh, correction, weight, variance, gains, torque_row, passed_row = kept
+    assert derivative.shape == (2 * SAMPLES, FACTOR_COUNT)
+    assert fresh.tolist() == [1.0, 0.0]
+    row = np.zeros(JOINT)
+    row[STATES:], row[TORQUE] = LOW_PASS[2, :2], LOW_PASS[2, 2]
+    for k, low in enumerate(lows):
+        ahead, far = state.copy(), smoother.room(1, SAMPLES)
+        (x,) = run(ahead, [-5e5], 1e6, far)  # a count that shows nothing: the prediction alone
+        p = ahead["covariance"][0, :, :JOINT]
+        (own,) = run(state, [low], width, None)
+        after, square = state["covariance"][0, :, :JOINT], variance[k]
+        np.testing.assert_allclose(together[k], own, rtol=1e-12)
+        np.testing.assert_allclose(derivative[k * SAMPLES : (k + 1) * SAMPLES], far[0], rtol=1e-12)
+        assert square == pytest.approx(p[ANGLE, ANGLE] + (U.edge * width) ** 2, rel=1e-6)
+        np.testing.assert_allclose(gains[k], p[ANGLE, :STATES] / square, rtol=1e-6)
+        assert correction[k] * p[ANGLE, ANGLE] == pytest.approx((own - x)[ANGLE], rel=1e-6)
+        less = 1 - after[ANGLE, ANGLE] / p[ANGLE, ANGLE]
+        assert weight[k] == pytest.approx(less * square / p[ANGLE, ANGLE], rel=1e-6)
+        np.testing.assert_allclose(torque_row[k], after[TORQUE, :STATES], rtol=1e-9)
+        np.testing.assert_allclose(passed_row[k], (row @ after)[:STATES], rtol=1e-9, atol=1e-18)
