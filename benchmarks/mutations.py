@@ -247,16 +247,16 @@ def mutation(path: Path, number: int) -> Mutation:
     return Mutation(place, line, text, before, after)
 
 
-def tests_of(place: str) -> list[str]:
+def tests_of(place: str, tree: Path) -> list[str]:
     """Return the tests of a file below `rigtool`, then others that name it, then those of its room,
     then those that import it by what tests share."""
     file = Path("tests", place)
     own, room = file.with_name(f"test_{file.name}"), file.parent
-    while not any((ROOT / room).glob("test_*.py")):
+    while not any((tree / room).glob("test_*.py")):
         room = room.parent
-    here = {path.relative_to(ROOT) for path in (ROOT / room).glob("test_*.py")}
-    naming, importing = _importing(place)
-    groups = [{own} if (ROOT / own).exists() else set(), naming, here, importing]
+    here = {path.relative_to(tree) for path in (tree / room).glob("test_*.py")}
+    naming, importing = _importing(place, tree)
+    groups = [{own} if (tree / own).exists() else set(), naming, here, importing]
     return [
         " ".join(map(str, sorted(group.difference(*groups[:n]))))
         for n, group in enumerate(groups)
@@ -264,9 +264,9 @@ def tests_of(place: str) -> list[str]:
     ]
 
 
-def _importing(place: str) -> tuple[set[Path], set[Path]]:
+def _importing(place: str, tree: Path) -> tuple[set[Path], set[Path]]:
     """Return the tests that import a file below `rigtool`, and those that share what does."""
-    texts = {p.relative_to(ROOT): p.read_text("utf-8") for p in (ROOT / "tests").rglob("*.py")}
+    texts = {p.relative_to(tree): p.read_text("utf-8") for p in (tree / "tests").rglob("*.py")}
     names = {"rigtool." + _dotted(Path(place))}
     found: list[set[Path]] = []
     while names:
@@ -294,7 +294,9 @@ def verdict(found: Mutation, tree: Path) -> str:
     # numba keeps the machine code of what calls a function when only that function's file changes
     kept = tree.parent / ("mutated" if "@compiled" in found.text else "unchanged")
     try:
-        return next(filter(None, (failed(one, tree, kept) for one in tests_of(found.place))), "")
+        return next(
+            filter(None, (failed(one, tree, kept) for one in tests_of(found.place, tree))), ""
+        )
     finally:
         file.write_bytes(whole)
         os.utime(file, ns=(stat.st_atime_ns, stat.st_mtime_ns))
