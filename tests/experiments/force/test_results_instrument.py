@@ -68,6 +68,8 @@ def test_stiffness_is_the_load_over_the_mean_of_both_shifts():
     # 5 N at 20 mm
     assert results["stiffness"].value == pytest.approx(0.1 / both.mean(), rel=1e-6)
     assert "stiffness" not in _stiffness_results(peaks(shift=(0.1, -0.3)), 5.0, recipe)
+    top = np.full(3, math.pi / 2)  # where a stiff instrument has it
+    assert "stiffness" not in _stiffness_results(Peaks(top, top, top, top), 5.0, recipe)
 
 
 def test_one_cycle_has_no_scatter():
