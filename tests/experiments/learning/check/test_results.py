@@ -178,3 +178,23 @@ def test_the_rule_between_entries_states_where_the_table_ends():
     assert "outside 0 to 5.49779 rad are clamped" in cut.rule()[1]
     assert cut.friction_lines()[1] == "0.002 N m * tanh(v) + 5e-05 N m s/rad * v"
     assert table.friction_lines() == []
+
+
+@pytest.mark.parametrize(
+    ("value", "u", "changed"),
+    [
+        (0.11e-3, 1e-6, True),
+        (0.09e-3, 1e-6, False),
+        (0.4e-3, 0.3e-3, False),
+        (-0.11e-3, 1e-6, True),
+    ],
+)
+def test_a_mean_has_changed_where_it_is_certain_and_half_of_what_a_move_scatters(value, u, changed):
+    own = HealthChange(value, u)
+    assert health(friction=own).friction_changed == changed
+    assert health(offset=own).offset_changed == changed
+    assert health(friction=None).friction_changed is False
+    # a part of a turn has part of a pattern in its mean
+    part = {"whole_turn": False, "shape": 0.3e-3}
+    assert not health(offset=HealthChange(0.29e-3, 1e-6), **part).offset_changed
+    assert health(offset=HealthChange(0.31e-3, 1e-6), **part).offset_changed
