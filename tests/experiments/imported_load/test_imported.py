@@ -93,3 +93,14 @@ def test_a_linear_axis_has_no_turn(monkeypatch, linear, turn):
     with pytest.raises(LearnedError) as found:
         imported.analyse_imported([])
     assert found.value.args == (turn, None)
+
+
+def test_intervals_hold_errors_of_either_sign():
+    off = Validation(
+        torque=np.ones(4),
+        error=np.array([-3.0, -1.9, 1.9, 3.0]),
+        u=np.ones(4),
+        level=np.zeros(4, dtype=int),
+        against=np.array([True, False, True, False]),
+    )
+    assert _level_table(off)["coverage_95"].tolist() == [0.5]

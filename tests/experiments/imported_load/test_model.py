@@ -25,6 +25,7 @@ from rigtool.experiments.imported_load.basis import (
     motion_functions,
     path_of,
     size_of,
+    splines,
 )
 from rigtool.experiments.imported_load.learning import (
     learn_load_model,
@@ -496,6 +497,38 @@ def test_every_group_has_the_columns_it_says():
         assert set(functions) == set(FUNCTION_GROUPS)
         for name, columns in functions.items():
             assert columns.shape == (len(item.path.time), size_of(name)), name
+
+
+def test_functions_of_a_motion_are_their_formulas_behind_the_low_pass():
+    """Of one that goes in one direction and has for long: nothing of the other one."""
+    item = observe(0.05, 0.3)
+    path, scales = item.path, find_scales([item.path], [item.reference], turn=5.0)
+    found = motion_functions(path, scales, 1, alone=True)
+    speed = np.abs(path.fine_speed) / scales.speed
+    slow = np.log(np.hypot(path.fine_speed, scales.standstill) / scales.speed)
+    waves = [
+        wave(2 * np.pi * order * path.fine_position / 5.0)
+        for order in np.arange(1, 9) / 2
+        for wave in (np.cos, np.sin)
+    ]
+    change = np.gradient(path.fine_speed, 1 / path.rate) / scales.acceleration
+    for name, values in (
+        ("ripple", waves),
+        ("inertia", [change]),
+        ("load_speed", [speed, slow]),
+    ):
+        np.testing.assert_allclose(found[name].T, path.thin(np.array(values)), atol=1e-9)
+    place = (path.fine_position - scales.low) / (scales.high - scales.low)
+    along = splines(place, 5).T
+    for name, factor in (("viscous", speed), ("stribeck", slow), ("load_squared", 1.0)):
+        np.testing.assert_allclose(found[name].T, path.thin(along * factor), atol=1e-9)
+    for name in ("memory", "load_memory", "reversal", "load_reversal"):
+        assert not found[name].any()
+    # both directions share what the low-pass spreads over a reversal
+    both = [motion_functions(path, scales, sign) for sign in (1, -1)]
+    np.testing.assert_allclose(both[0]["ripple"] + both[1]["ripple"], found["ripple"], atol=1e-9)
+    for one, other in (both, both[::-1]):
+        np.testing.assert_allclose(one["reversal"], other["load_squared"], atol=1e-9)
 
 
 def test_covariances_are_covariances(learned):

@@ -146,6 +146,9 @@ def test_psd_shows_the_orders_at_their_frequencies(measured):
     frequency = psd["frequency"]
     fast = frequency[np.argmax(psd["psd"][1])]
     assert fast == pytest.approx(30 / (2 * np.pi), rel=0, abs=frequency[1])
+    with open_run(measured[0]) as stored:
+        time = next(iter(stored.recordings.values())).read("time")
+    assert frequency[-1] == pytest.approx(0.5 / np.mean(np.diff(time)), rel=1e-6)
 
 
 def test_the_stored_signals_give_the_same_again(measured, folder, kt):

@@ -12,6 +12,7 @@ from rigtool.experiments.ripple.results import (
     INERTIA_U,
     LOWEST_FOLLOWED,
     comparison_results,
+    comparison_table,
     condition_tables,
     loop_note,
     revolutions_table,
@@ -131,3 +132,32 @@ def test_the_note_names_the_last_order_that_the_loop_follows(fastest):
     ):
         order += 1
     assert loop_note(recipe, fastest).endswith(f"above order {order - 1}")
+
+
+def test_tables_of_power_ups_and_of_single_turns_hold_their_numbers():
+    names = ("correlation", "shift", "best_correlation", "scale")
+    rows = [(0.9, 0.2, 0.95, 1.1), (0.4, -0.6, 0.7, 0.8)]
+    found = comparison_table(
+        [SimpleNamespace(**dict(zip(names, row, strict=True))) for row in rows]
+    )
+    assert found["power_cycle"].tolist() == [1, 2]
+    assert {found.columns[name].unit for name in names} == {"1", "rad"}
+    assert found.columns["shift"].unit == "rad"
+    np.testing.assert_array_equal([found[name] for name in names], np.transpose(rows))
+    own = ripple({2: 1e-3}, 3)
+    single = revolutions_table(own)
+    assert single["revolution"].tolist() == [0, 1, 2]
+    np.testing.assert_allclose(single["position"], ANGLE)
+    np.testing.assert_array_equal(single["torque"], own.waveforms)
+
+
+def test_floors_of_the_scatter_are_those_of_the_motor(stored):
+    made, speeds, _, loop, tables = stored
+    table = tables["speed_spectrum"]
+    for row, (own, speed) in enumerate(zip(made, speeds, strict=True)):
+        asked = spectrum(own, HIGHEST_ORDER)
+        gain = np.abs(loop.response(asked.order * speed / (2 * math.pi)))
+        np.testing.assert_array_equal(table["order"], asked.order)
+        seen = gain >= LOWEST_FOLLOWED
+        expected = np.where(seen, asked.noise_floor / gain, np.nan)
+        np.testing.assert_allclose(table["noise_floor"][row], expected, rtol=1e-9)
