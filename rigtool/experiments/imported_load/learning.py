@@ -166,29 +166,35 @@ def learn_load_model(
     ]
     sides, held = [side for side, _ in found], [out for _, out in found]
     torque, speed, place, recording = _both(rows, "torque", "speed", "place", "recording")
-    error, u, resolved, slope = _both(held, "error", "u", "resolved", "slope")
+    error, within, u, resolved, slope = _both(held, "error", "within", "u", "resolved", "slope")
     direction = resisted_direction(rows, float(np.mean(slope)))
     spacing = float(np.ptp(torque)) / (levels - 1)
-    measured = np.where(resolved, torque + error, np.nan)
+    measured = np.where(resolved, torque + within, np.nan)
     scatter = [COVERAGE_FACTOR * float(np.median(out.u)) / spacing for out in held]
     several = bool(pace.max() > 0 or len(middles) > 1)  # speeds at one place
+    torque_range = torque.min() - MARGIN * spacing, torque.max() + MARGIN * spacing
+    # Else what load and speed change cannot be told from each other
+    enough = len(signals) >= levels + int(pace.max())
     model = LoadModel(
         scales=scales,
         strokes=middles,
         bandwidth_hz=paths[0].bandwidth_hz,
         effort_scale=effort_scale,
         sides=(sides[0], sides[1]),
-        torque_range=(
-            float(torque.min()) - MARGIN * spacing,
-            float(torque.max()) + MARGIN * spacing,
-        ),
+        torque_range=torque_range,
         direction=direction,
         region=learn_region(
             place, speed, torque, _margins(sides, direction, scatter) * spacing, several=several
         ),
         loop=learn_loop(place, speed > 0, measured, torque, recording),
         noise=learned_noise([item.noise.by(effort_scale) for item in signals]),
-        paces=_learned_paces(paths, pace, recording, torque, MARGIN * spacing),
+        paces=_learned_paces(
+            paths,
+            pace,
+            recording,
+            torque,
+            float(np.ptp(torque_range)) if enough else MARGIN * spacing,
+        ),
     )
     model = replace(model, slack=_slack(model, signals, level))
     against = direction * speed > 0

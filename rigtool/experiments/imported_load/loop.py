@@ -8,11 +8,12 @@ recordings that were learned, by the sensor,
     offset o = mean over x of d - m,   shape s(x) = d - m - o,
     T = max(|o| / S_o, root of the mean over x of (s / S_s)^2)
 
-S are the root mean squares of o and s over those recordings, each as measured when its load was
-left out: what few loads leave unknown of the friction between them is part of S. T is about 1;
-Student's t with the number of recordings less one states how far it may be. The mean of o over n
-runs is known better than one: of r recordings, its standard deviation is
-S_o sqrt(c + (1 - c) / n + 1 / r), where c is what runs at one load or speed have in common.
+S are the root mean squares of o and s over those recordings, each as measured when it was left out
+with its load, or with others where that is the lowest or the highest: what few loads leave unknown
+of the friction between them is part of S. T is about 1; Student's t with the number of recordings
+less one states how far it may be. The mean of o over n runs is known better than one: of r
+recordings, its standard deviation is S_o sqrt(c + (1 - c) / n + 1 / r), where c is what runs at one
+load or speed have in common.
 """
 
 from __future__ import annotations

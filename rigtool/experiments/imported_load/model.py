@@ -69,7 +69,8 @@ class TorqueEstimate:
     Near standstill, and so soon after a reversal that effort hardly depends on the load yet, the
     torque is the middle of a dead band and u that of a rectangular distribution (GUM 4.3.7).
     Outside what was learned, and where nothing bounds the torque, both are NaN. `compared` shows
-    the mounting: without unit, it has opening strokes besides that may be of heavier loads.
+    the mounting: without unit, it has opening strokes besides that may be of heavier loads, and all
+    at learned speeds where one direction has no value.
     `noisier` is what noise of the effort that was not learned multiplies u by.
     """
 
@@ -263,7 +264,8 @@ class LoadModel:
         known = of_known_strokes(known, moving, way)
         # A heavier load shows in the strokes against it
         most &= against | beside_known_strokes(known, moving & against, way)
-        compared = np.where(known, torque, np.nan)
+        both = (known & against).any() and (known & ~against).any()
+        compared = np.where(known if both else usual, torque, np.nan)
         known &= most
         states = np.where(against, State.AGAINST, State.WITH)
         states[hidden] = np.where(still, State.STILL, State.REVERSED)[hidden]

@@ -75,13 +75,15 @@ LOG_CHI2 = 1.270362845461478
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Rows (n,) of levels that were left out: error and u of the torque, without unit.
+    """Rows (n,) of levels that were left out: error and u of the torque, without unit; `within` is
+    the error where the lowest and the highest level are left out in another way, if there is one.
 
     `resolved` (n,) marks rows where effort depends enough on the load for an error. `slope`
     (n,) of effort by torque is that of all rows, `slopes` (folds, n) those without each fold.
     """
 
     error: Array
+    within: Array
     u: Array
     slope: Array
     slopes: Array
@@ -222,8 +224,11 @@ class Fit:
         side = replace(side, elsewhere=elsewhere, other_speeds=speeds)
         resolved = np.abs(slope) >= FLAT_SLOPE * usual
         safe = np.where(resolved, slope, usual)
+        ends = (self.level == self.level.min()) | (self.level == self.level.max())
+        other = found[min(1, len(found) - 1)][0]
         held = HeldOut(
             error=-residual / safe,
+            within=-np.where(ends & np.isfinite(other), other, residual) / safe,
             u=side.factor(self.rows.torque) * np.sqrt(variance + own) / np.abs(safe),
             slope=self.design.slope(side.weights, self.rows.torque),
             slopes=slopes,
