@@ -96,7 +96,10 @@ def at_even_times(
     time: Array, bandwidth_hz: float, *signals: Array
 ) -> tuple[Array, list[Array], Mask]:
     """Return an even time (m,), the signals (n,) at it, (m,) each, and where they are `lost`: in a
-    gap that the bandwidth shows. Samples with a NaN are left out before."""
+    gap that the bandwidth shows. Samples with a NaN are left out before.
+
+    Raises `InsufficientDataError` where no two samples are left.
+    """
     known = np.isfinite(np.stack(signals)).all(axis=0)
     if np.count_nonzero(known) < 2:
         raise InsufficientDataError(
