@@ -18,6 +18,7 @@ from rigtool.experiments.ripple.results import (
     revolutions_table,
     ripple_results,
 )
+from rigtool.experiments.ripple.shared_scatter import shared_floor
 from rigtool.quantity import Quantity, combined, error_line
 from rigtool.recipe import load_recipe
 from tests.experiments.virtual_runs import RECIPE
@@ -35,7 +36,7 @@ def ripple(amplitudes, turns, noise=1e-4, seed=1):
 @pytest.fixture(scope="module")
 def stored():
     recipe, _ = load_recipe(RECIPE, ())
-    made = [ripple({2: 2e-3, 7: 0.5e-3}, 6), ripple({2: 1e-3, 7: 0.5e-3}, 11, seed=2)]
+    made = [ripple({2: 2e-3, 7: 0.5e-3}, 12), ripple({2: 1e-3, 7: 0.5e-3}, 11, seed=2)]
     speeds = [2 * math.pi * n for n in (0.5, 6.0)]
     recordings = [
         SimpleNamespace(name=str(n), condition=lambda name, v=v: v) for n, v in enumerate(speeds)
@@ -83,6 +84,21 @@ def test_orders_are_those_of_the_motor_with_a_budget_each(stored):
             expected = combined(amplitude, "N m", parts)
             assert table["u"][row][k - 1] == pytest.approx(expected.u, rel=1e-9)
             assert table["dof"][row][k - 1] == pytest.approx(expected.dof, rel=1e-9)
+
+
+def test_few_turns_have_the_scatter_of_the_orders_around():
+    recipe, _ = load_recipe(RECIPE, ())
+    own, constant = ripple({2: 2e-3}, 2), Quantity(0.045, "N m/A", 1e-9, reason=None)
+    recording = SimpleNamespace(name="0", condition=lambda name: 2 * math.pi * 0.01)
+    tables = condition_tables(
+        "speed", "speed", "rad/s", [recording], [own], {"0": constant}, recipe
+    )
+    table = tables["speed_spectrum"]
+    asked = spectrum(own, HIGHEST_ORDER)
+    floor, dof = shared_floor(asked.order, asked.noise_floor, 2)
+    assert np.median(dof) > 10
+    np.testing.assert_allclose(table["noise_floor"][0] * table["loop_gain"][0], floor, rtol=1e-9)
+    np.testing.assert_allclose(table["dof"][0][10:], dof[10:], rtol=0.01)
 
 
 def test_waveforms_are_means_over_the_turns(stored):
