@@ -187,7 +187,7 @@ class _Search:
         return ROW_EVIDENCE * self.likelihood(moved)[0] - BEYOND * beyond
 
     def learned_at(self, moved: float) -> Mask:
-        """Return in which cells another zero is still one at which friction was learned (cells,)."""
+        """Return which cells (cells,) are learned ones with another zero, too."""
         angle = self._angle - moved
         found: Mask = (angle >= self._angle[0]) & (angle <= self._angle[-1])
         return found
