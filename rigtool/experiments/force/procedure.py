@@ -13,13 +13,8 @@ from operator import attrgetter
 
 import numpy as np
 
-from rigtool import errors
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
-from rigtool.experiments.controller_torque import (
-    SMALLER_FORCE,
-    SaturationWatch,
-    require_stable_loop,
-)
+from rigtool.experiments.controller_torque import require_stable_loop
 from rigtool.experiments.force.imported import analyse_imported
 from rigtool.experiments.force.procedure_readings import read_load
 from rigtool.experiments.force.results import (
@@ -109,8 +104,7 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run, tables: R
         motion = strokes(recipe, int(spec.conditions["cycles"][0]))
         load = Load(force=spec.conditions["force"][0])
         task = Task(motion, feedforward, load, record_every=spec.record_every)
-        with errors.naming(f"recording {spec.name}"):
-            record(rig, task, recorder, spec.name, SaturationWatch(recipe, SMALLER_FORCE).block)
+        record(rig, task, recorder, spec.name)
 
 
 def strokes(recipe: Recipe, cycles: int) -> Triangle:
