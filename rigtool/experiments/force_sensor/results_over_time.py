@@ -29,6 +29,7 @@ from rigtool.experiments.force_model.contacts import FALSE_ALARMS, JUMP_WINDOW, 
 from rigtool.experiments.force_sensor.response import Spectra, amplitude_bandwidth
 from rigtool.experiments.force_sensor.signal_faults import SignalFault
 from rigtool.experiments.force_sensor.unknown_friction import Passes
+from rigtool.experiments.force_sensor.unknown_inertia import Turns
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.quantity import Quantity
@@ -48,7 +49,7 @@ class TorqueRows:
     the states REVERSED and STILL is the middle of a dead band, its u that of a rectangular
     distribution (GUM 4.3.7). `passes` show whether the tables are of this
     instrument: of the torque, and of what it was before another power-up's ripple was taken off.
-    `faults` are those of the signals."""
+    `turns` show whether inertia is that of the tables. `faults` are those of the signals."""
 
     name: str
     step_time: float
@@ -67,6 +68,7 @@ class TorqueRows:
     dead_bands: bool = False
     response: Spectra | None = None
     passes: tuple[Passes, ...] = ()
+    turns: Turns = field(default_factory=Turns)
     faults: tuple[SignalFault, ...] = ()
 
     @property
@@ -374,10 +376,17 @@ def _contact_notes(limits: Array) -> list[str]:
     known = [f"{jumps[m]:.2g} mN m {names[m]}" for m in MotionKind if np.isfinite(jumps[m])]
     if not known:
         return ["contacts are not looked for: the tables hold no recordings without load"]
+    without = [names[m] for m in MotionKind if np.isinf(limits[m, 1])]
+    slow = (
+        f"; contacts that come more slowly are not looked for {', '.join(without)}: too little was "
+        "recorded without load, learn with more ilc_learn.loads.cycles"
+        if without
+        else ""
+    )
     return [
         f"contacts are found by torques that rise within {JUMP_WINDOW * 1e3:.0f} ms by more than "
         f"{', '.join(known)}: the tables show such errors less than once in "
-        f"{1 / max(map(sum, FALSE_ALARMS)) / 3600:.0f} h"
+        f"{1 / max(map(sum, FALSE_ALARMS)) / 3600:.0f} h{slow}"
     ]
 
 
