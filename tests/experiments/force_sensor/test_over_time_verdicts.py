@@ -24,8 +24,8 @@ from rigtool.experiments.force_sensor.procedure_over_time import _require_values
 from rigtool.experiments.force_sensor.results_over_time import Recorded
 from rigtool.experiments.force_sensor.signal_faults import SignalFault
 from rigtool.experiments.force_sensor.unknown_friction import UnknownFriction
-from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.force_sensor.unknown_inertia import Turns
+from rigtool.experiments.outcome import Outcome
 from rigtool.recipe import load_recipe
 from tests.experiments.deploy.sensors import Model
 from tests.experiments.force_filter.plants import PLANT
