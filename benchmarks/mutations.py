@@ -82,8 +82,10 @@ def changes(node: ast.AST) -> Iterator[tuple[str, object]]:
         yield "ops", [OPERATORS[type(node.ops[0])](), *node.ops[1:]]
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
         yield "op", ast.UAdd()
-    elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
-        yield "value", node.value + 1 if isinstance(node.value, int) else node.value * 1.5 or 1.0
+    elif isinstance(node, ast.Constant) and type(node.value) is int:
+        yield "value", node.value + 1
+    elif isinstance(node, ast.Constant) and type(node.value) is float:
+        yield "value", node.value * 1.5 or 1.0
     elif isinstance(node, ast.Attribute) and node.attr in NAMES:
         yield "attr", NAMES[node.attr]
 
@@ -154,7 +156,7 @@ def tests_of(place: str) -> list[str]:
 def _importing(place: str) -> set[Path]:
     """Return the tests that import a file below `rigtool`, by themselves or by what they share."""
     texts = {p.relative_to(ROOT): p.read_text("utf-8") for p in (ROOT / "tests").rglob("*.py")}
-    names, found = {"rigtool." + _dotted(Path(place))}, set()
+    names, found = {"rigtool." + _dotted(Path(place))}, set[Path]()
     while names:
         using = {path for path, text in texts.items() if any(name in text for name in names)}
         names = {_dotted(path) for path in using - found if not path.name.startswith("test_")}
