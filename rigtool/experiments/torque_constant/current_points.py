@@ -1,6 +1,9 @@
 """Means of any slow course of current against a torque sensor: of plateaus, or of parts of a ramp.
 
-The parts of a ramp take equal times. Friction follows the current between its turns.
+    x_k = mean(x[a_k:b_k])
+
+of current, torque, temperature and speed; the parts of a ramp take equal times. Friction follows
+the current between its turns, m of `current_levels`.
 """
 
 from __future__ import annotations
