@@ -105,7 +105,7 @@ def encoder_zero(
     unmoved = logs[PLACES // 2] + math.log(UNMOVED)
     best = places[np.argmax(logs)]
     far = np.abs(places - best) > 2.001 * step
-    near = best + step / PARTS * np.arange(-2 * PARTS, 2 * PARTS + 1)
+    near = best + step * ((np.arange(5 * PARTS) + 0.5) / PARTS - 2.5)
     fine = [search.odds(place) - math.log(PARTS) for place in near]
     places, logs = np.concatenate([places[far], near]), np.concatenate([logs[far], fine])
     logs += math.log((1 - UNMOVED) / PLACES)

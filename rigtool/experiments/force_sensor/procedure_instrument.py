@@ -10,7 +10,7 @@ from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_sensor.encoder_zero import EncoderZero
 from rigtool.experiments.force_sensor.procedure_calibration import changes, torque_per_current
-from rigtool.experiments.force_sensor.results_over_time import Recorded
+from rigtool.experiments.force_sensor.results_recordings import Recorded
 from rigtool.experiments.force_sensor.unknown_friction import (
     DOUBTED,
     FEWEST_PASSES,

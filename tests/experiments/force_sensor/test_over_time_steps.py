@@ -18,13 +18,11 @@ from rigtool.experiments.force_sensor.response import (
     amplitude_bandwidth,
 )
 from rigtool.experiments.force_sensor.results_over_time import (
-    Recorded,
     TorqueRows,
-    _contact_notes,
-    _notes,
     over_time_tables,
     steps_of_a_row,
 )
+from rigtool.experiments.force_sensor.results_recordings import Recorded, _contact_notes, _notes
 from rigtool.experiments.force_sensor.signal_faults import SignalFault
 from rigtool.experiments.force_sensor.stretch import shortest_stretch
 from tests.experiments.deploy.sensors import instrument

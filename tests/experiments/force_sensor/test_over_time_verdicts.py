@@ -21,7 +21,7 @@ from rigtool.experiments.force_sensor.procedure_instrument import (
     of_this_instrument,
 )
 from rigtool.experiments.force_sensor.procedure_over_time import _require_values, reach_of
-from rigtool.experiments.force_sensor.results_over_time import Recorded
+from rigtool.experiments.force_sensor.results_recordings import Recorded
 from rigtool.experiments.force_sensor.signal_faults import SignalFault
 from rigtool.experiments.force_sensor.unknown_friction import UnknownFriction
 from rigtool.experiments.force_sensor.unknown_inertia import Turns
