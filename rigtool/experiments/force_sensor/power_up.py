@@ -52,10 +52,10 @@ from rigtool.experiments.force_sensor.drawn_ripple import learned_ripple
 from rigtool.experiments.force_sensor.lasting_contact import LASTING, LASTS
 from rigtool.experiments.force_sensor.ripple_rows import (
     CONTACT,
-    HELD_TIME,
     PARAMETERS,
     STATE,
     WAVE_COUNT,
+    held_steps,
     late_rows,
     read_row,
     row_steps,
@@ -84,7 +84,7 @@ class PowerUp:
         housing = plant.housing_friction, plant.housing_presliding_angle
         slow = shown_ripple.HELD_LENGTHS * plant.presliding_angle / step_time
         shown = 1 - math.exp(-step_time / shown_ripple.SHOWN_TIME)
-        self._held_steps = max(1, round(HELD_TIME / step_time))
+        self._held_steps = held_steps(step_time)
         numbers = lag, factor, steps, time, factor * size, late, step_time, inertia
         load = plant.load_friction, plant.load_friction_onset
         self._parameters = np.array(

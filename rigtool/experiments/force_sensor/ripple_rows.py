@@ -141,6 +141,11 @@ def late_rows(step_time: float) -> int:
     return round(LATE_TIME / (row_steps(step_time) * step_time))
 
 
+def held_steps(step_time: float) -> int:
+    """Return the steps of `HELD_TIME`."""
+    return max(1, round(HELD_TIME / step_time))
+
+
 @compiled
 def read_row(s: Record, p: Record) -> None:
     """Take in a row, and begin the next one."""
