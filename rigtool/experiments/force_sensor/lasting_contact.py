@@ -18,7 +18,7 @@ import math
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
 
-LASTS, LASTING, DRIFT, LEAST_LASTS = 0.03, 5.0, 0.5, 1e-3
+LASTS, LASTING, DRIFT, LEAST_LASTS = 0.03, 5.0, 0.2, 1e-3
 """Probability, before anything is seen, that a weak contact acts all the time; its deviation, and
 what it changes by per square root of a second, in deviations of a stroke; its least probability.
 

@@ -48,9 +48,9 @@ def motion(seconds=40.0, way=1.25):
 
 def follows(states, current=0.0):
     """Return gains that do not count, as the motion is so slow that the bearings hold the rotor;
-    and the motor's torque and current."""
+    the motor's torque and current; and that nothing is taken off the filter's drive torque."""
     drive = np.tile([CONSTANT * current, current], (len(states), 1))
-    return np.zeros((len(states), 6)), drive
+    return np.zeros((len(states), 6)), drive, np.zeros(len(states))
 
 
 def ripple(coefficients, angle):
@@ -126,12 +126,12 @@ def test_the_unit_of_torque_changes_nothing(gain):
     states[:, TORQUE] = ramps(time, 4e-3, 8.0) + contact(time) + noise(time, states) + added
     unit, results = 64.0, []
     for scale in (1.0, unit):
-        gains, drive = follows(states)
+        gains, drive, taken = follows(states)
         gains += gain * np.array([1.0, 1.0, 1.0, scale, scale, scale])
         scaled = states.copy()
         scaled[:, TORQUE] *= scale
         power_up = PowerUp(in_unit(model(1e-4), scale), STEP, BANDWIDTH)
-        found, variance, less, _ = power_up.add(angle, scaled, gains, drive)
+        found, variance, less, _ = power_up.add(angle, scaled, gains, drive, taken)
         whole, left, _ = power_up.whole(angle, scaled[:, TORQUE])
         torques, variances = np.stack([found, less, whole]), np.stack([variance, left])
         results.append((torques / scale, variances / scale**2, power_up.probability))
