@@ -92,8 +92,12 @@ class Estimate:
         """Return estimates that follow one another as one, without what the smoother needs."""
         if len(parts) == 1:
             return parts[0]
-        names = ("states", "outputs", "low", "idle")
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+        return cls(
+            np.concatenate([part.states for part in parts]),
+            np.concatenate([part.outputs for part in parts]),
+            np.concatenate([part.low for part in parts]),
+            np.concatenate([part.idle for part in parts]),
+        )
 
     @property
     def torque(self) -> Array:

@@ -140,7 +140,7 @@ class PowerUp:
         sliding = states[:, HOUSING] * way >= SLIDING_DEFLECTION
         moving = states[:, [GRASPER, SPEED, HOUSING]]
         follows = np.column_stack([gains, moving])
-        driven = np.column_stack([drive, taken])
+        driven = np.ascontiguousarray(np.column_stack([drive, taken]))
         return self._followed(self._state, angle, states[:, TORQUE], sliding, follows, driven)
 
     def whole(self, angle: Array, torque: Array) -> tuple[Array, Array, Array]:
@@ -186,7 +186,9 @@ def _turn(waves: Array, lag: float, angle: float) -> None:
 
 
 @compiled_allocating
-def _ahead(state: NDArray[np.void], parameters: NDArray[np.void], angle: Array, taken: Array) -> None:
+def _ahead(
+    state: NDArray[np.void], parameters: NDArray[np.void], angle: Array, taken: Array
+) -> None:
     """Write `PowerUp.ahead` into `taken` (m,): by the waves before each step."""
     s, waves = state[0], state[0].waves.copy()
     for k in range(angle.shape[0]):

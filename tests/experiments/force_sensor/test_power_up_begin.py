@@ -97,6 +97,7 @@ def test_it_is_followed_from_the_learned_power_up_on(step_time):
         "shown": 1 - math.exp(-step_time / 12e-3),
         "load_friction": PLANT.load_friction,
         "onset": PLANT.load_friction_onset,
+        "held": round(0.25 / step_time),
     }
     assert set(expected) == set(p.dtype.names)
     for name, value in expected.items():
@@ -133,10 +134,11 @@ def test_it_slides_where_the_long_bristle_is_bent_in_the_direction_of_motion(mon
     states[:, HOUSING] = 0.91, -0.91, 0.89, 0.95
     states[:, TORQUE], states[:, GRASPER] = np.arange(4), 10 + np.arange(4)
     gains, drive = np.ones((4, 6)), np.ones((2, 4)).T
-    own.add(np.arange(4.0), states, gains, drive)
+    own.add(np.arange(4.0), states, gains, drive, np.full(4, 7.0))
     _, angle, torque, sliding, follows, driven = seen[0]
     assert sliding.tolist() == [True, True, False, False]
     assert torque.tolist() == [0, 1, 2, 3]
     assert_allclose(follows, np.column_stack([gains, states[:, [GRASPER, SPEED, HOUSING]]]))
     assert driven.flags.c_contiguous
+    assert driven.tolist() == [[1, 1, 7]] * 4
     assert angle.tolist() == [0, 1, 2, 3]
