@@ -1139,7 +1139,7 @@ static inline void rs_hold(struct rigtool_sensor *s, rs_real weight, rs_real las
     int j;
     if (++s->held_steps == RS_HELD_STEPS) {
         s->held_steps = 0;
-        for (j = 0; j < RS_WAVES; j++)
+        for (j = 0; j < RS_WAVES && s->other != 0; j++) /* before a row, nothing */
             s->held[j] = weight * (s->known.mean[j + 1] + lasting * s->known.shift[j + 1]);
     }
     s->taken = 0;

@@ -265,5 +265,5 @@ def _follow(
             s.held_steps += 1.0
             if s.held_steps >= p.held:
                 s.held_steps = 0.0
-                for j in range(WAVE_COUNT):
+                for j in range(WAVE_COUNT if s.other != 0.0 else 0):  # before a row, nothing
                     s.held[j] = weight * (s.mean[j] + lasting * s.shift[j])
