@@ -245,8 +245,9 @@ def compare_ripple(outcome: Outcome, recipe: Recipe) -> Compared:
             if (amplitude := table["amplitude"].values[row, order - 1]) > 5 * table[
                 "noise_floor"
             ].values[row, order - 1]:
-                u = float(table["u"].values[row, order - 1])
-                yield f"amplitude {name}", Quantity(float(amplitude), "N m", u), true[order]
+                u, dof = (float(table[n].values[row, order - 1]) for n in ("u", "dof"))
+                found = Quantity(float(amplitude), "N m", u, dof if math.isfinite(dof) else None)
+                yield f"amplitude {name}", found, true[order]
 
 
 class Winding:

@@ -80,7 +80,10 @@ def far(rng: np.random.Generator) -> Settings:
 def moving(rng: np.random.Generator) -> Settings:
     """Draw a rig like the thesis's that moves: inertia, friction by speed, ripple, instrument."""
     motor, tool = "virtual.motor.", "virtual.instrument."
-    return near(rng) | {
+    drawn = near(rng)
+    return drawn | {
+        # The data sheet's, as another motor's calibration is refused.
+        "rig.torque_constant": drawn[motor + "torque_constant"],
         "calibrate_kt.temperatures_degc": [20, 35, 50],
         motor + "inertia": 1.51e-5 * rng.uniform(0.9, 1.1),
         motor + "stribeck_velocity": spread(rng, 0.2, 0.5),

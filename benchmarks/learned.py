@@ -1,7 +1,7 @@
 """How well torque over time is known with what was learned, beside an estimator that knows all.
 
-    .venv/bin/python benchmarks/learned.py [--seeds 5] [--jobs 2] [--rig thesis] [--duration 60]
-        [--tables build/learned]
+    .venv/bin/python benchmarks/learned.py [KIND:SEED ...] [--jobs 2] [--duration 60]
+        [--tables build/learned] [--kept FILE]
 
 Each rig is calibrated and learned (`calibrate-kt`, `ilc-learn --implementation D`) as its owner
 would, then it moves while contacts touch it: pulses, or weak ones half of the time, with the ripple
@@ -10,19 +10,30 @@ Printed are errors over the oracle's, by motion, bandwidth and state, the share 
 1.96 u (for the oracle, of its standard deviations), the mean width of the intervals at rest and the
 score of all over the oracle's, and learned parameters over true ones. The warm rig was learned at
 room temperature. Runs of `calibrate-kt` and `ilc-learn` that `--tables` holds are taken as they
-are, and kept there.
+are, and kept there. Neither those nor the results that `--kept` holds know anything of the code.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+import pickle
 import tempfile
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
+from accuracy_tables import (
+    CONDITIONS,
+    LARGEST,
+    LOADS,
+    Condition,
+    Found,
+    Scores,
+    cells,
+    print_tables,
+)
 from numpy.typing import NDArray
 from oracle import (
     BANDS,
@@ -31,15 +42,12 @@ from oracle import (
     RECIPE,
     RIGS,
     STEP,
-    Key,
     Recorded,
-    Score,
     motion_states,
     plant_of,
     record,
     score,
     scores,
-    sum_of,
 )
 
 from rigtool.experiments.force_filter.accuracy import JUDGED_STATES
@@ -70,18 +78,9 @@ CONTACTS["sine"] = (
         kind="sine", rate_per_min=15, duration=(2.0, 3.0), force=(0.25, 1.5), frequency_hz=SINE_HZ
     ),
 )
-Condition = tuple[int, str]
-CONDITIONS: tuple[Condition, ...] = ((0, "pulses"), (1, "pulses"), (0, "weak"), (1, "weak"))
-"""Power-up of the amplifier, which was learned at 0, and contacts."""
-
-ROW_TIME = 5e-3
-"""Time of a row of the reading at the largest of `BANDS`, s."""
-
 Known = tuple[float, float]
 """Torque constant at 0 degC, N m/A, and its change per kelvin."""
 
-LARGEST, LOADS = 60e-3, (0.0, 0.01, 0.05, 0.2, 1.0)
-"""Largest torque that is learned, N m, and edges of bands of it."""
 COMPARED = (
     "presliding_angle",
     "housing_presliding_angle",
@@ -153,7 +152,7 @@ def samples_of(recorded: Recorded) -> Array:
 
 def learned_scores(
     recorded: Recorded, motion: str, model: ForceModel, known: Known, reach: Reach
-) -> dict[Key, Score]:
+) -> Scores:
     """Compare the estimate of a learned model with what truly acted."""
     states, found = motion_states(recorded), {}
     for band in BANDS:
@@ -192,12 +191,7 @@ def read(instrument: SensorProperties, recorded: Recorded) -> TorqueRows:
 def _cells(truth: Array, states: Array) -> dict[str, Array]:
     """Return which steps are in each band of load, of 60 mN m, and state of the reading."""
     band = np.searchsorted(np.array(LOADS) * LARGEST, np.abs(truth), side="right") - 1
-    return {
-        f"from {1e3 * LARGEST * low:g} mN m, {STATE_NAMES[state]}": (band == number)
-        & (states == state)
-        for number, low in enumerate(LOADS[:-1])
-        for state in JUDGED_STATES
-    }
+    return {name: (band == number) & (states == state) for number, state, name in cells()}
 
 
 def amplitude(
@@ -218,11 +212,6 @@ def amplitude(
         acts = np.abs(true) > 0.5 * np.abs(true).max()
         found[form] = float(np.abs(own[acts]).sum() / np.abs(true[acts]).sum())
     return found
-
-
-Scores = dict[Key, Score]
-Found = tuple[str, dict[str, float], dict[Condition, tuple[Scores, Scores]]]
-"""Rig, learned parameters over true ones, scores of what was learned and of the oracle."""
 
 
 def learned_in(store: Path | None, rig: str, seed: int) -> tuple[ForceModel, Reach, Known]:
@@ -255,7 +244,7 @@ def measured(rig: str, seed: int, duration: float, store: Path | None) -> Found:
     ]:
         factor, share = model.scales[0][kind].tolist()
         over[f"u over deviation, {name}"], over[f"u over torque, {name}"] = factor, share
-    return rig, over, found
+    return Found(rig, seed, over, found)
 
 
 def _over_truth(model: ForceModel, recorded: Recorded) -> dict[str, float]:
@@ -271,99 +260,39 @@ def _over_truth(model: ForceModel, recorded: Recorded) -> dict[str, float]:
     return over
 
 
-def print_tables(found: list[Found]) -> None:
-    """Print, as tables of Markdown: errors over the oracle's by condition, band and rig, the share
-    of errors within the intervals by load and state, and learned parameters over true ones."""
-    rigs = {rig: [one for one in found if one[0] == rig] for rig, *_ in found}
-    for condition in CONDITIONS:
-        for band in BANDS:
-            print(f"\npower-up {condition[0]}, {condition[1]}, {band:g} Hz, smoothed / causal\n")
-            print("| rig, motion | " + " | ".join(HEADS) + " |\n" + "| --- " * 8 + "|")
-            for motion in MOTIONS:
-                for rig, mine in [*rigs.items(), ("all", found)]:
-                    print(f"| {rig}, {motion} | {_row(mine, condition, motion, band)} |")
-        print(f"\npower-up {condition[0]}, {condition[1]}: intervals hold (s)")
-        for state in next(iter(found))[2][condition][0]:
-            if state[:3] == (MOTIONS[0], "smoothed", BANDS[-1]) and state[3].startswith("from"):
-                print(f"  {state[3]:50}{_pairs(_holds(found, condition, state[3]))}")
-    print("\nlearned over true: median, least, largest")
-    for name in found[0][1]:
-        own = [one[1][name] for one in found]
-        print(f"  {name:56}{np.median(own):8.3f}{min(own):8.3f}{max(own):8.3f}", flush=True)
-
-
-HEADS = (
-    "moving",
-    "after reversals",
-    "at rest",
-    "all, mN m",
-    "95 % holds in (known), %",
-    "width at rest",
-    "score over known's",
-)
-FORMS = ("smoothed", "causal")
-
-
-def _summed(found: list[Found], condition: Condition, key: Key) -> tuple[Score, Score]:
-    """Return the scores of what was learned and of the oracle, of all rigs together."""
-    both = [one[2][condition] for one in found]
-    return sum_of([own[key] for own, _ in both]), sum_of([oracle[key] for _, oracle in both])
-
-
-def _row(found: list[Found], condition: Condition, motion: str, band: float) -> str:
-    """Return one row of the table of errors."""
-    scored = {
-        state: [_summed(found, condition, (motion, form, band, state)) for form in FORMS]
-        for state in ("moving", "reversal", "rest", "all")
-    }
-    cells = [
-        _pairs([f"{_rmse(own) / _rmse(oracle):.2f}" for own, oracle in scored[state]])
-        for state in ("moving", "reversal", "rest")
-    ]
-    cells.append(_pairs([f"{1e3 * _rmse(own):.2f}" for own, _ in scored["all"]]))
-    holds = [[f"{100 * s.covered / s.count:.1f}" for s in both] for both in scored["all"]]
-    cells.append(_pairs([f"{own} ({oracle})" for own, oracle in holds]))
-    halves = [[s.half_widths / s.count for s in both] for both in scored["rest"]]
-    cells.append(_pairs([f"{own / oracle:.2f}" for own, oracle in halves]))
-    totals = [[s.interval_scores / s.count for s in both] for both in scored["all"]]
-    cells.append(_pairs([f"{own / oracle:.2f}" for own, oracle in totals]))
-    return " | ".join(cells)
-
-
-def _holds(found: list[Found], condition: Condition, cell: str) -> list[str]:
-    """Return the share within the intervals, %, and the time, s, of a band of load and state."""
-    texts = []
-    for form in FORMS:
-        scored = [one[2][condition][0][m, form, BANDS[-1], cell] for one in found for m in MOTIONS]
-        one = sum_of(scored)
-        share = f"{100 * one.covered / one.count:.0f}" if one.count else "-"
-        texts.append(f"{share} ({one.count * ROW_TIME:.1f})")
-    return texts
-
-
-def _pairs(texts: list[str]) -> str:
-    return " / ".join(texts)
-
-
-def _rmse(one: Score) -> float:
-    return math.sqrt(one.squares / one.count)
+def kept(path: Path | None) -> list[Found]:
+    """Return the rigs of a file."""
+    found = []
+    if path is not None and path.exists():
+        with path.open("rb") as file:
+            while file.peek(1):
+                found.append(pickle.load(file))
+    return found
 
 
 def main() -> None:
     """Measure every rig and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--first-seed", type=int, default=91)
+    parser.add_argument("rigs", nargs="*", help="KIND:SEED; five development seeds of each kind")
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--rig", choices=RIGS, action="append")
     parser.add_argument("--duration", type=float, default=60.0)
     parser.add_argument("--tables", type=Path, help="folder that keeps what was learned")
+    parser.add_argument("--kept", type=Path, help="file of results; rigs that it has are not read")
     arguments = parser.parse_args()
-    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-    how = arguments.duration, arguments.tables
-    work = [(rig, seed, *how) for rig in arguments.rig or RIGS for seed in seeds]
-    with ProcessPoolExecutor(arguments.jobs) as pool:
-        print_tables(list(pool.map(measured, *zip(*work, strict=True))))
+    wanted = [rig.split(":") for rig in arguments.rigs]
+    wanted = wanted or [[rig, str(seed)] for rig in RIGS for seed in range(91, 96)]
+    done = {(one.rig, one.seed): one for one in kept(arguments.kept)}
+    work = [(rig, int(seed)) for rig, seed in wanted]
+    missing = [(*one, arguments.duration, arguments.tables) for one in work if one not in done]
+    with ExitStack() as stack:
+        out = stack.enter_context(arguments.kept.open("ab")) if arguments.kept else None
+        pool = stack.enter_context(ProcessPoolExecutor(arguments.jobs))
+        for one in pool.map(measured, *zip(*missing, strict=True)) if missing else ():
+            done[one.rig, one.seed] = one
+            if out is not None:
+                pickle.dump(one, out)
+                out.flush()
+    print_tables([done[one] for one in work])
 
 
 if __name__ == "__main__":

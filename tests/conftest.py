@@ -12,7 +12,7 @@ import signal
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
-from hypothesis import settings
+from hypothesis import Phase, settings
 
 # Imports make many objects and no garbage; until all tests are collected, nothing looks for some.
 gc.disable()
@@ -29,6 +29,7 @@ signal.signal(signal.SIGQUIT, signal.SIG_DFL)
 settings.register_profile("luck", deadline=None, max_examples=200)
 settings.register_profile("any machine", deadline=None, derandomize=True, max_examples=30)
 settings.load_profile("any machine")
+settings.register_profile("first failure", phases=[Phase.explicit, Phase.generate])
 
 
 def pytest_collection_finish():

@@ -6,8 +6,10 @@ commands call none.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import update_wrapper
+from hashlib import sha256
+from inspect import ismodule
 from threading import Lock
 from typing import Any
 
@@ -26,8 +28,9 @@ def compiled(function: Callable[..., Any]) -> Any:
     numbers at a time.
 
     The machine code is kept beside the module, or in the user's cache; where neither can be
-    written, in a read-only installation without a home, each program compiles anew. The first
-    call raises `UsageError` where variables of the environment keep numba from compiling.
+    written, in a read-only installation without a home, each program compiles anew. Its name holds
+    what it was made of, since numba itself looks at the function's own file only. The first call
+    raises `UsageError` where variables of the environment keep numba from compiling.
     """
     return _Compiled(function, counted=False)
 
@@ -63,8 +66,26 @@ class _Compiled:
         options: dict[str, Any] = {"error_model": "numpy", "nogil": True, "_nrt": self._counted}
         with _LOCK:
             if self._dispatcher is None:
+                made_of = sha256("\n".join(_parts(self._function, set())).encode()).hexdigest()
+                self._function.__qualname__ += f"-{made_of[:12]}"
                 try:
                     self._dispatcher = njit(cache=True, **options)(self._function)
                 except RuntimeError:  # numba: cannot cache function, no locator for its file
                     self._dispatcher = njit(**options)(self._function)
         return self._dispatcher
+
+
+def _parts(function: Callable[..., Any], seen: set[Callable[..., Any]]) -> Iterator[str]:
+    """Yield what numba compiles into a function: its code, and, of any module, the numbers and
+    tuples that this names and the same of the functions that it calls, each of them once."""
+    seen.add(function)
+    code = function.__code__
+    yield f"{code.co_code.hex()} {code.co_consts} {function.__defaults__}"
+    named = [function.__globals__.get(name) for name in code.co_names]
+    for scope in (function.__globals__, *(vars(one) for one in named if ismodule(one))):
+        for name in code.co_names:
+            value = scope.get(name)
+            if isinstance(value, _Compiled) and value._function not in seen:
+                yield from _parts(value._function, seen)
+            elif isinstance(value, int | float | tuple):
+                yield f"{name} = {value}"

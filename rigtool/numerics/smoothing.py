@@ -122,11 +122,14 @@ def position_noise(position: Array, step: float) -> float:
     return max(white, count**2 / 12 * max(step, count / speed))
 
 
-def resample(time: Array, *signals: Array) -> tuple[float, Mask, tuple[Array, ...]]:
+def resample(
+    time: Array, *signals: Array, gap: float | None = None
+) -> tuple[float, Mask, tuple[Array, ...]]:
     """Resample signals (n,) at the median interval: the interval, known samples, the signals.
 
     Signals on an even time axis are returned unchanged. Linear interpolation between samples
-    smooths all signals alike. Samples in a gap are not known. Raises `InsufficientDataError` where
+    smooths all signals alike. Samples in a gap are not known: an interval longer than `gap`, s, or
+    than `GAP_INTERVALS` medians. Raises `InsufficientDataError` where
     time does not rise, or consists mostly of gaps.
     """
     step = require_rising(time)
@@ -140,5 +143,5 @@ def resample(time: Array, *signals: Array) -> tuple[float, Mask, tuple[Array, ..
         )
     even = np.arange(time[0], time[-1], step)
     place = np.clip(np.searchsorted(time, even, side="right") - 1, 0, len(intervals) - 1)
-    known = intervals[place] <= GAP_INTERVALS * step
+    known = intervals[place] <= (GAP_INTERVALS * step if gap is None else gap)
     return step, known, tuple(np.interp(even, time, signal) for signal in signals)

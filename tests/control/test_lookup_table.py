@@ -192,3 +192,23 @@ def test_a_periodic_table_is_continuous_over_its_seam():
 def test_a_table_that_makes_no_sense_is_refused(changes, message):
     with pytest.raises(ValueError, match=message):
         table(**changes)
+
+
+@pytest.mark.parametrize("period", [None, 0.4])
+def test_the_learned_range_ends_at_its_edges_but_for_rounding(period):
+    """A millionth of the lowest speed, and of the step between positions."""
+    small = LookupTable(
+        position=np.array([0.5, 0.6, 0.7, 0.8]),
+        speed=np.array([-20.0, 0.01, 10.0]),
+        torque=np.ones((3, 4)),
+        low_speed=np.array([0.0, 0.01]),
+        amplitude=np.array([0.0, 1.0]),
+        period=period,
+    )
+    beyond = np.array([0.9e-8, 1.1e-8])
+    for edge, sign in ((10.0, 1.0), (-20.0, -1.0)):
+        assert small.covers(np.full(2, 0.6), edge + sign * beyond).tolist() == [True, False]
+    beyond *= 10
+    for edge, sign in ((0.8, 1.0), (0.5, -1.0)):
+        within = small.covers(edge + sign * beyond, np.full(2, 5.0))
+        assert within.tolist() == [True, period is not None]

@@ -1,5 +1,6 @@
 """Functions are compiled where nothing can be kept, too."""
 
+import importlib
 import subprocess
 import sys
 
@@ -27,6 +28,47 @@ def test_an_environment_that_keeps_numba_from_compiling(monkeypatch):
     monkeypatch.setattr(config, "DISABLE_JIT", 1)
     with pytest.raises(UsageError, match="NUMBA_DISABLE_JIT"):
         compiled(twice)(21)
+
+
+CALLER = """
+from called import LIMIT, inner
+from rigtool.numerics.compiled import compiled
+import others
+
+@compiled
+def outer(value):
+    return inner(value) + LIMIT + others.ADDED
+"""
+CALLED = """
+from rigtool.numerics.compiled import compiled
+LIMIT = {limit}
+
+@compiled
+def inner(value):
+    return {factor} * value
+"""
+
+
+def test_machine_code_follows_what_was_changed_in_other_files(tmp_path, monkeypatch):
+    # numba looks at the file of the function alone
+    (tmp_path / "caller.py").write_text(CALLER)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "kept"))
+
+    def called(factor, limit, added):
+        (tmp_path / "called.py").write_text(CALLED.format(factor=factor, limit=limit))
+        (tmp_path / "others.py").write_text(f"ADDED = {added}")
+        for name in ("caller", "called", "others"):
+            monkeypatch.delitem(sys.modules, name, raising=False)
+        found = importlib.import_module("caller").outer(100)
+        return found, len(list(tmp_path.rglob("caller.outer*.nbi")))
+
+    assert called(2, 1, 5000) == (5201, 1)
+    assert called(3, 1, 5000) == (5301, 2)
+    assert called(3, 4, 5000) == (5304, 3)
+    assert called(3, 4, 6000) == (6304, 4)
+    assert called(2, 1, 5000) == (5201, 4)
 
 
 def test_numba_is_imported_with_the_first_call():

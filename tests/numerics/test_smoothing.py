@@ -93,6 +93,9 @@ def test_an_uneven_one_is_made_even_and_a_gap_stays_unknown():
     np.testing.assert_allclose(line, 3 * even, rtol=1e-12)
     np.testing.assert_allclose(sine[known], np.sin(even[known]), atol=1e-5)
     assert np.sum(~known) * step == pytest.approx(0.5, abs=0.005)
+    assert resample(time, time, gap=0.6)[1].all()
+    short = resample(time, time, gap=1.2 * STEP)[1]
+    assert 0.1 < np.mean(~short) < 0.6  # a third of the samples, and more of the time
 
 
 def test_time_that_is_mostly_gaps_is_refused():

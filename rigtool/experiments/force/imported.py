@@ -22,7 +22,7 @@ from rigtool.experiments.imported_load.basis import LoadSignals
 from rigtool.experiments.imported_load.imported_signals import REFERENCE_CHANNEL, read_all
 from rigtool.experiments.imported_load.learning import levels_of
 from rigtool.experiments.imported_load.loop import DOUBTED, REFUSED
-from rigtool.experiments.imported_load.model import LoadModel, TorqueEstimate
+from rigtool.experiments.imported_load.model import LoadModel, TorqueEstimate, pace_of
 from rigtool.experiments.imported_load.region import reached
 from rigtool.experiments.imported_load.stored import load_model_from
 from rigtool.experiments.outcome import Outcome
@@ -156,8 +156,9 @@ def _of_this_mounting(
             raise InsufficientDataError(
                 f"strokes to and fro disagree {found:.1f} times as much{whose} as in the runs that "
                 f"{tables.path} was learned from, {most:.1f} times at most is by chance: these "
-                "runs are of another instrument or mounting, or of loads unlike the learned ones: "
-                "learn tables from runs of this mounting (two loads are enough with --prior)"
+                "runs are of another instrument or mounting, or of loads or speeds unlike the "
+                "learned ones: learn tables from runs of this mounting (two loads are enough with "
+                "--prior)"
             )
     factors = np.where(np.nan_to_num(misfits) > doubted[0], misfits, 1.0)
     if together > doubted[1]:
@@ -229,11 +230,13 @@ def _require_inside(measured: Sequence[Measured], model: LoadModel) -> list[str]
             f"strokes of {elsewhere} runs are at places of which none was learned: u is wider, up "
             f"to {factor:.2g} times, as strokes show that were left out of learning"
         )
-    between = sum(model.between(item.signals.path) for item in measured)
-    if between and (factor := max(side.between for side in model.sides)) > 1:
+    changes = [
+        change for item in measured if (change := model.paces.change(pace_of(item.signals.path)))
+    ]
+    if changes and (factor := max(s.at_other_speeds(max(changes)) for s in model.sides)) > 1:
         notes.append(
-            f"strokes of {between} runs have speeds of which none was learned: u is wider, up to "
-            f"{factor:.2g} times, as leaving out either of two learned speeds shows"
+            f"strokes of {len(changes)} runs have speeds of which none was learned: u is wider, up "
+            f"to {factor:.2g} times, as leaving out the first and the last learned speed shows"
         )
     noisier = [item.estimate.noisier for item in measured]
     if max(noisier) > LEAST_NOISIER:
@@ -247,7 +250,8 @@ def _require_inside(measured: Sequence[Measured], model: LoadModel) -> list[str]
         where = [item for item in measured if (~item.signals.path.regular).any()]
         notes.append(
             f"{int(np.sum(wild))} samples of {len(where)} runs belong to a transient, such as "
-            "homing, or have an effort at its limit, and have no value"
+            "homing, are in a gap or before the first reversal behind it, or have an effort that "
+            "is at its limit or does not change, and have no value"
         )
     return notes
 

@@ -140,7 +140,7 @@ class Exploration:
     def under(self, drive: MotorMap) -> Signals:
         """Return the filter's input for a drive."""
         constant = np.full(len(self.encoder), self.torque_constant)
-        known = np.array([self.encoder, self.current, constant])
+        known = self.encoder, self.current, constant
         return Sampler(self.grid, self.count, drive).add(known, last=True)[0]
 
 

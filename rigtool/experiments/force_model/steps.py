@@ -16,6 +16,7 @@ current acts in two samples of the filter.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -137,32 +138,34 @@ class Sampler:
         self._grid, self._count, self._drive = grid, count, drive
         self._context = context - context % grid.averaged
         self._lagging = np.zeros(2)
-        self._held: Array | None = None
+        self._held: list[Array] = []
         self._before = 0  # of the held ones: context alone
 
-    def add(self, samples: Array, *, last: bool = False) -> tuple[Signals, Array]:
-        """Return the filter's input from samples (c, n), and the others at its samples (c - 3, k).
+    def add(self, samples: Sequence[Array], *, last: bool = False) -> tuple[Signals, Array]:
+        """Return the filter's input from c rows of samples (n,), and all but the first row at its
+        samples (c - 1, k).
 
         The first three rows are the encoder in counts, the current in A, and the torque constant
         in N m/A. After the `last` ones only samples that do not fill an average are left.
         """
-        grid, before = self._grid, self._before
-        held = samples if self._held is None else np.hstack([self._held, samples])
-        size = held.shape[1] - (0 if last else self._context) - before
+        grid, before, held = self._grid, self._before, samples
+        if self._held:
+            held = [np.concatenate(both) for both in zip(self._held, samples, strict=True)]
+        size = len(held[0]) - (0 if last else self._context) - before
         end = before + max(0, size // grid.averaged * grid.averaged)
         ends = [edge // grid.averaged * grid.divided for edge in (before, end)]
         low = grid.counts(held[0])[slice(*ends)] * self._count
-        known = held[1:, before - (grid.earlier and before > 0) : end]
+        known = [row[before - (grid.earlier and before > 0) : end] for row in held[1:]]
         if grid.earlier and not before:
-            known = np.hstack([known[:, :1], known])
-        current, constant, *others = (grid.means(row) for row in known)
+            known = [np.concatenate([row[:1], row]) for row in known]
+        found = np.array([grid.means(row) for row in known])
+        current, constant = found[:2]
         torque, viscous = self._drive.torque(
             low + self._count / 2, current, constant, grid.sample_time, self._lagging
         )
         self._before = min(max(self._context, grid.averaged), end)
-        self._held = held[:, end - self._before :].copy()
-        signals = Signals(torque, viscous, low, self._count, np.abs(current) <= NO_CURRENT)
-        return signals, np.array(others).reshape(len(others), len(low))
+        self._held = [row[end - self._before :].copy() for row in held]
+        return Signals(torque, viscous, low, self._count, np.abs(current) <= NO_CURRENT), found
 
 
 class Stepper:
@@ -177,14 +180,17 @@ class Stepper:
         held = samples if self._held is None else np.hstack([self._held, samples])
         count = max(0, (held.shape[1] - 1) // self._size)
         self._held = held[:, count * self._size :].copy()
-        ends = np.arange(1, count + 1) * self._size
-        found: Array = (held[:, ends - 1] + held[:, ends]) / 2
+        end, size = count * self._size, self._size
+        found: Array = (held[:, size - 1 : end : size] + held[:, size : end + 1 : size]) / 2
         return found
 
 
-def unbroken(time: Array, good: NDArray[np.bool_], interval: float) -> list[slice]:
-    """Return the stretches in which no sample is missing and all are good, (n,) each."""
-    follows = good[1:] & good[:-1] & (np.abs(np.diff(time) - interval) <= interval / 2)
-    begins = np.flatnonzero(good & ~np.append(False, follows)).tolist()
-    ends = np.flatnonzero(good & ~np.append(follows, False)).tolist()
-    return [slice(begin, end + 1) for begin, end in zip(begins, ends, strict=True)]
+def unbroken(steps: Array, good: NDArray[np.bool_], interval: float) -> list[slice]:
+    """Return the stretches in which no sample is missing and all are good, from the steps of time
+    (n - 1,) s between samples, and which are good, (n,)."""
+    follows = np.abs(steps - interval) <= interval / 2
+    follows &= good[1:]
+    follows &= good[:-1]
+    begins = np.append(0, np.flatnonzero(~follows) + 1)[: len(good)]
+    spans = np.column_stack([begins, np.append(begins, len(good))[1:]])[good[begins]]
+    return [slice(begin, end) for begin, end in spans.tolist()]

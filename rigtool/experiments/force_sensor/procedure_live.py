@@ -77,7 +77,7 @@ class LiveForce:
         time = np.concatenate([self._last, samples[0]])
         good = np.concatenate([np.ones(known, np.bool_), np.isfinite(samples).all(axis=0)])
         rows = []
-        for span in unbroken(time, good, self._instrument.interval):
+        for span in unbroken(np.diff(time), good, self._instrument.interval):
             first = max(0, span.start - known)
             part = samples[:, first : span.stop - known]
             if not part.shape[1]:

@@ -163,11 +163,11 @@ def unbroken_blocks(
     for block in recording.blocks(*names, finite=False, size=BLOCK):
         samples = np.array(block)
         time = np.concatenate([before, samples[0]])
-        rising_steps(time, number - before.size)
+        steps = rising_steps(time, number - before.size)
         number += samples.shape[1]
         good = np.isfinite(samples[: len(NEEDED_CHANNELS)]).all(axis=0)
         good = np.concatenate([before == before, good])
-        for span in unbroken(time, good, interval):
+        for span in unbroken(steps, good, interval):
             begins = span.start > 0 or not before.size
             if begins and span.stop < time.size and (span.stop - span.start) * interval < shortest:
                 yield samples[:, :0], True

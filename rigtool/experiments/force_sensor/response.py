@@ -32,6 +32,9 @@ MAX_AMPLITUDE_U = 0.02
 
 HIGHEST_HZ = 100.0
 
+TOGETHER = 32
+"""Segments that are transformed at once."""
+
 FEWEST_SEGMENTS = 6
 """Segments of which noise alone has `MAX_AMPLITUDE_U` at one of 100 frequencies in 0.03 % of cases:
 each has it with a probability of (2 (n - 1) MAX_AMPLITUDE_U^2)^(n - 1)."""
@@ -56,16 +59,17 @@ class Spectra:
         kept = frequency <= HIGHEST_HZ
         window = np.hanning(size)
         found = cls.none(frequency[kept])
-        for first in range(0, len(torque) - size + 1, size // 2):
-            part = slice(first, first + size)
-            if not valid[part].all():
-                continue
+        firsts = range(0, len(torque) - size + 1, size // 2)
+        whole = [first for first in firsts if valid[first : first + size].all()]
+        for some in range(0, len(whole), TOGETHER):
+            rows = np.array(whole[some : some + TOGETHER])[:, None] + np.arange(size)
             read, acted = (
-                np.fft.rfft(window * (signal[part] - signal[part].mean()))[kept]
-                for signal in (torque, reference)
+                np.fft.rfft(window * (part - part.mean(axis=1, keepdims=True)))[:, kept]
+                for part in (torque[rows], reference[rows])
             )
-            products = np.abs(acted) ** 2, np.abs(read) ** 2, np.conj(acted) * read
-            found = found.added(cls(found.frequency, *products, 1))
+            sums = (np.abs(acted) ** 2).sum(axis=0), (np.abs(read) ** 2).sum(axis=0)
+            cross = (np.conj(acted) * read).sum(axis=0)
+            found = found.added(cls(found.frequency, *sums, cross, len(rows)))
         return found
 
     @classmethod

@@ -120,7 +120,7 @@ class SensorProperties:
 
 @dataclass(frozen=True, eq=False)
 class Sensed:
-    """The causal estimate after each of m steps; `others` (c, m) are channels that ride along.
+    """The causal estimate after each of m steps; `others`, (m,) each, are channels that ride along.
 
     `torque` (m,) N m is that behind the low-pass, less the ripple that this power-up of the
     amplifier adds, `u` its standard uncertainty.
@@ -137,7 +137,7 @@ class Sensed:
     moments: Moments
     states: States
     kinds: States
-    others: Array
+    others: list[Array]
     signals: Signals
     less: Array
     doubt: Array
@@ -174,11 +174,11 @@ class Sensor:
         encoder, current, warm, *others = samples
         constant, slope = self._instrument.torque_constant
         limited, most = self._instrument.limited(current), self._instrument.current_limit
-        known = [encoder, np.clip(current, -most, most), constant + slope * warm]
-        every = [*known, warm, limited, known[1], *others]
-        signals, riding = self._sampler.add(np.array(every, dtype=np.float64), last=last)
-        found = self._stepper.add(riding)
-        drive = np.column_stack([(constant + slope * found[0]) * found[2], found[2]])
+        known = encoder, np.clip(current, -most, most), constant + slope * warm
+        every = *known, warm, limited.astype(np.float64), *others
+        signals, riding = self._sampler.add(every, last=last)
+        amperes, torque_constant, *found = self._stepper.add(riding)
+        drive = np.column_stack([torque_constant * amperes, amperes])
         estimate, (ripple, variance, less, by_current) = self._filtered(signals, drive)
         torque = estimate.passed - ripple
         moments = Moments(
@@ -197,7 +197,7 @@ class Sensor:
         deviation, opened = estimate.deviation, estimate.opened
         u = uncertainty_of_kinds(scales, deviation, torque, kinds, variance, opened, least)
         doubt = np.sqrt(variance)
-        own = estimate, torque, u, moments, states, kinds, found[3:], signals, less, doubt
+        own = estimate, torque, u, moments, states, kinds, found[2:], signals, less, doubt
         return Sensed(*own, by_current, unbent)
 
     def _filtered(self, signals: Signals, drive: Array) -> tuple[Estimate, Array]:

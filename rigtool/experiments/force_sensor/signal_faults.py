@@ -100,8 +100,8 @@ class SignalWatch:
     def add(self, samples: Array) -> None:
         """Watch samples (c, n): encoder in counts, current A, temperature degC."""
         steps = np.diff(samples[0], prepend=self._last)
-        at = np.flatnonzero(np.abs(steps) > self._leap)
-        changed = np.append(self._changed - self._count, np.flatnonzero(steps != 0))
+        changed = np.append(self._changed - self._count, np.flatnonzero(steps))
+        at = changed[1:][np.abs(steps[changed[1:]]) > self._leap]
         if len(at):
             since = changed[np.searchsorted(changed, at) - 1]
             times = (self._count + np.array([at, since])) * self._interval

@@ -127,7 +127,7 @@ class Stretch:
         """Read samples (c, n): encoder, current, temperature, and the reference where it is."""
         sensed = self._sensor.add(samples, last=last)
         self._watch.add(samples)
-        self._limited += int(self._instrument.limited(samples[1]).sum())
+        self._limited += int(np.count_nonzero(self._instrument.limited(samples[1])))
         self._settle(LATE_BLOCKS)
         estimate = sensed.estimate
         rows = slice(-self._steps % self._every, None, self._every)

@@ -48,6 +48,13 @@ EXPONENT_LEADS = {2.0: 0.0, 1.0: 6.0}
 """Exponents d to try, each with the lead in the Akaike criterion that it needs: the Gaussian, and
 Tustin's, which extrapolates further towards standstill and so must be clearly better."""
 
+FEW_SPEEDS = 6
+"""Number of speeds below which residuals hardly show their variance: models are weighed by the
+uncertainties of the points. Three points and a curve of four parameters leave no residuals."""
+
+FALLING = 4.0
+"""Multiple of its uncertainty by which a line may fall with the speed."""
+
 DIRECTION_NAMES = {1: "positive", -1: "negative"}
 
 
@@ -176,10 +183,26 @@ def fit_direction(
                 best, lowest, needed = candidate, criterion, lead
     if best.exponent is None:
         best = _straight_part(v, f, weight)
+        _require_no_fall(best)
     averaged, spread = _averaged(best, curves, v, f, weight)
     covariance = best.covariance.copy()
     covariance[:2, :2] += spread
     return replace(best, averaged=averaged, covariance=covariance, criterion=lowest + needed)
+
+
+def _require_no_fall(line: DirectionFit) -> None:
+    """Raise where friction clearly falls with the speed: viscous friction does not do that.
+
+    Torque along the motion, which rises, has a reason of its own.
+    """
+    slope, u = float(line.parameters[1]), math.sqrt(float(line.covariance[1, 1]))
+    if line.parameters[0] > 0 and slope < -FALLING * u:
+        raise InsufficientDataError(
+            f"friction falls from {line.lowest:.3g} to {line.highest:.3g} rad/s, by "
+            f"{-slope * 1e3:.3g}({u * 1e3:.1g}) mN m a rad/s, limit {FALLING:g} times its "
+            "uncertainty: that is the Stribeck effect, which hides Coulomb and viscous friction; "
+            "hold higher speeds, too"
+        )
 
 
 def _averaged(
@@ -202,7 +225,9 @@ def _averaged(
     """
     line = _straight_part(v, f, weight)
     left_out = v < line.lowest
-    criteria = [_corrected((f - line.evaluate(v)) * weight * ~left_out, 3 + int(left_out.sum()))]
+    few = len(v) < FEW_SPEEDS
+    of_line = (f - line.evaluate(v)) * weight * ~left_out
+    criteria = [_akaike(of_line, 2 + int(left_out.sum()), known=few)]
     parameters, prior = [line.parameters[:2]], [0.5]
 
     def add(found: Array, criterion: float, share: float) -> None:
@@ -211,15 +236,17 @@ def _averaged(
         prior.append(0.5 / len(curves) * share)
 
     velocities = np.geomspace(v.min() / 3, v.max() / 3, OTHER_VELOCITIES)
-    for exponent, curve in curves.items() if len(v) > 5 else ():
+    for exponent, curve in curves.items():
         if curve is not None:
-            add(curve.parameters, _criterion(curve, v, f, weight), 1.0)
+            rest = (f - curve.evaluate(v)) * weight
+            add(curve.parameters, _akaike(rest, 4, known=few), 1.0)
             continue
         for vs in velocities:
             design = _columns(v, vs, exponent)
             found = np.asarray(np.linalg.lstsq(design * weight[:, None], f * weight, rcond=None)[0])
             if found[2] >= found[0]:
-                add(found, _corrected((f - design @ found) * weight, 4), 1 / len(velocities))
+                rest = (f - design @ found) * weight
+                add(found, _akaike(rest, 3, known=few), 1 / len(velocities))
     probable = np.array(prior) * np.exp((min(criteria) - np.array(criteria)) / 2)
     probable /= probable.sum()
     line_chosen = chosen.exponent is None
@@ -335,6 +362,14 @@ def _columns(v: Array, vs: float, exponent: float) -> Array:
     """Return the columns (n, 3) of fc, fv and fs in a Stribeck curve of this velocity."""
     bump = np.exp(-((v / vs) ** exponent))
     return np.column_stack([1 - bump, v, bump])
+
+
+def _akaike(residual: Array, parameters: int, *, known: bool) -> float:
+    """Return the Akaike criterion for the variance that is stated, one, if it is `known`; else the
+    corrected one for an unknown variance."""
+    if known:
+        return float(residual @ residual) + 2 * parameters
+    return _corrected(residual, parameters + 1)
 
 
 def _criterion(fit: DirectionFit, v: Array, f: Array, weight: Array) -> float:

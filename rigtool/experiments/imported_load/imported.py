@@ -115,8 +115,8 @@ def _notes(learned: LearnedEffort, recordings: int) -> list[str]:
     if learned.paces == 2:
         notes.append(
             "recorded at two speeds, none of which is between others: at other speeds u is wider, "
-            f"up to {max(side.between for side in model.sides):.2g} times, by what leaving out "
-            "either shows; record at three speeds or more"
+            f"between them up to {max(side.at_other_speeds(0.25) for side in model.sides):.2g} "
+            "times, by what leaving out either shows; record at three speeds or more"
         )
     return notes
 

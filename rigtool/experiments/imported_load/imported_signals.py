@@ -8,13 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from rigtool.errors import UsageError, naming
+from rigtool.errors import InsufficientDataError, UsageError, naming
 from rigtool.experiments.imported import place as named
 from rigtool.experiments.imported import position_of, recordings_of, require_one_rig
-from rigtool.experiments.imported_load.basis import LoadSignals, path_of
+from rigtool.experiments.imported_load.basis import LoadSignals, ShaftPath, path_of
 from rigtool.experiments.imported_load.noise import noise_of
 from rigtool.experiments.torque_per_ampere import effort_of
 from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.checks import require_rising
+from rigtool.numerics.smoothing import resample
 from rigtool.runfile import Recording, Run
 
 REFERENCE_CHANNEL = "reference_torque"
@@ -23,6 +25,14 @@ REFERENCE_CHANNEL = "reference_torque"
 LIMIT_SAMPLES, LIMIT_RATIO = 10, 5
 """An effort at a limit stays at its highest or lowest value for so many samples, and so many times
 longer than at any other value."""
+
+USUAL_SHARE, STUCK_RATIO = 0.99, 10
+"""An effort is stuck at a value where it stays so many times longer than at this share of others.
+"""
+
+LONGEST_INTERVAL, GAP_PERIODS = 2.5, 0.25
+"""Longest intervals between samples that are no gaps, in medians (one lost sample is between its
+neighbours) and in periods of the bandwidth: the longer of the two."""
 
 LIMITED_SHARE = 0.01
 """Share of a row, behind the low-pass, from which on a limit has changed it."""
@@ -59,18 +69,15 @@ def _read(recording: Recording, kt: Run | None, bandwidth_hz: float) -> LoadSign
     time = recording.read("time")
     sensor = [recording.read(REFERENCE_CHANNEL)] if recording.has(REFERENCE_CHANNEL) else []
     with naming(named(recording)):
-        limited = at_limit(effort.values).astype(np.float64)
-        path, (values, limited, output, place, *reference) = path_of(
-            time,
-            motor,
-            bandwidth_hz,
-            effort.values,
-            limited,
-            output,
-            place,
-            *sensor,
+        time, (raw, motor, *others), lost = at_even_times(
+            time, bandwidth_hz, effort.values, motor, output, place, *sensor
         )
-    path = replace(path, regular=path.regular & (np.abs(limited) < LIMITED_SHARE))
+        gone = (at_limit(raw) | lost).astype(np.float64)
+        path, (values, gone, output, place, *reference) = path_of(
+            time, motor, bandwidth_hz, raw, gone, *others
+        )
+    regular = path.regular & (np.abs(gone) < LIMITED_SHARE)
+    path = replace(path, regular=regular & ~until_reversal(lost, time, path))
     # As the motor's sign, so that one direction has one sign everywhere
     speed = np.gradient(output, path.time)
     sign = math.copysign(1.0, float(np.sum(speed * path.speed)))
@@ -81,19 +88,61 @@ def _read(recording: Recording, kt: Run | None, bandwidth_hz: float) -> LoadSign
         output_speed=sign * speed,
         place=place,
         reference=reference[0] if reference else None,
-        noise=noise_of(effort.values, (len(time) - 1) / (time[-1] - time[0]), bandwidth_hz),
+        noise=noise_of(raw[~lost], (len(time) - 1) / (time[-1] - time[0]), bandwidth_hz),
     )
 
 
+def at_even_times(
+    time: Array, bandwidth_hz: float, *signals: Array
+) -> tuple[Array, list[Array], Mask]:
+    """Return an even time (m,), the signals (n,) at it, (m,) each, and where they are `lost`: in a
+    gap that the bandwidth shows. Samples with a NaN are left out before.
+
+    Raises `InsufficientDataError` where no two samples are left.
+    """
+    known = np.isfinite(np.stack(signals)).all(axis=0)
+    if np.count_nonzero(known) < 2:
+        raise InsufficientDataError(
+            "no samples at which all signals are numbers: record these together"
+        )
+    time, kept = time[known], [values[known] for values in signals]
+    gap = max(LONGEST_INTERVAL * require_rising(time), GAP_PERIODS / bandwidth_hz)
+    step, sampled, found = resample(time, *kept, gap=gap)
+    return time[0] + step * np.arange(len(sampled)), list(found), ~sampled
+
+
+def until_reversal(lost: Mask, time: Array, path: ShaftPath) -> Mask:
+    """Return which rows (n,) of a path are in a gap longer than a period of the bandwidth, or
+    behind it until the motion reverses: where it did so last is not known there.
+
+    `lost` (m,) marks gaps at `time` (m,).
+    """
+    period, found = 1 / path.bandwidth_hz, np.zeros(len(path.time), dtype=np.bool_)
+    edges = np.flatnonzero(np.diff(lost, prepend=False, append=False)).tolist()
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        if time[last - 1] - time[first] > period:
+            start, end = np.searchsorted(path.time, [time[first], time[last - 1] + period])
+            way = np.sign(path.speed[end:])
+            turned = np.flatnonzero(way != way[:1])
+            found[start : end + turned[0] if turned.size else None] = True
+    return found
+
+
 def at_limit(effort: Array) -> Mask:
-    """Return where an effort (n,) is cut off at a limit: its highest or lowest value."""
+    """Return where an effort (n,) is cut off at a limit, its highest or lowest value, or stays at
+    another for long: the last that arrived."""
     first = np.flatnonzero(np.diff(effort, prepend=np.nan))
     length, value = np.diff(first, append=len(effort)), effort[first]
     ends = effort.max(), effort.min()
     between = length[~np.isin(value, ends)]
     found = np.zeros(len(effort), dtype=np.bool_)
+    if not between.size:
+        return found
+    usual = float(np.quantile(between, USUAL_SHARE))
+    stuck = length > max(LIMIT_SAMPLES, STUCK_RATIO * usual)
+    found |= np.repeat(stuck & ~np.isin(value, ends), length)
+    longest = between[between <= max(LIMIT_SAMPLES, STUCK_RATIO * usual)].max(initial=1)
     for end in ends:
-        longest = length[value == end].max()
-        if between.size and longest >= max(LIMIT_SAMPLES, LIMIT_RATIO * between.max()):
+        if length[value == end].max() >= max(LIMIT_SAMPLES, LIMIT_RATIO * longest):
             found |= effort == end
     return found

@@ -17,14 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import LARGEST_LEARNED_RATIO, State
-from rigtool.experiments.imported_load.basis import LoadSignals, Scales, find_scales
+from rigtool.experiments.imported_load.basis import LoadSignals, Scales, ShaftPath, find_scales
 from rigtool.experiments.imported_load.loop import learn_loop
 from rigtool.experiments.imported_load.model import (
     APART_SPEED,
     APART_STROKE,
     SIDE_SIGNS,
     LoadModel,
+    Paces,
     Side,
     pace_of,
     stroke_of,
@@ -156,37 +158,43 @@ def learn_load_model(
         effort_scale = prior.effort_scale
     rows = [replace(one, effort=one.effort / effort_scale) for one in rows]
     priors = (None, None) if prior is None else prior.sides
-    two = pace.max() == 1
     found = [
         _fit(own, folds, levels, pace, before).model(
-            _inner(stroke[own.recording]), pace[own.recording] if two else None
+            _inner(stroke[own.recording]), _ends(pace[own.recording])
         )
         for own, before in zip(rows, priors, strict=True)
     ]
     sides, held = [side for side, _ in found], [out for _, out in found]
     torque, speed, place, recording = _both(rows, "torque", "speed", "place", "recording")
-    error, u, resolved, slope = _both(held, "error", "u", "resolved", "slope")
+    error, within, u, resolved, slope = _both(held, "error", "within", "u", "resolved", "slope")
     direction = resisted_direction(rows, float(np.mean(slope)))
     spacing = float(np.ptp(torque)) / (levels - 1)
-    measured = np.where(resolved, torque + error, np.nan)
+    measured = np.where(resolved, torque + within, np.nan)
+    scatter = [COVERAGE_FACTOR * float(np.median(out.u)) / spacing for out in held]
     several = bool(pace.max() > 0 or len(middles) > 1)  # speeds at one place
+    torque_range = torque.min() - MARGIN * spacing, torque.max() + MARGIN * spacing
+    # Else what load and speed change cannot be told from each other
+    enough = len(signals) >= levels + int(pace.max())
     model = LoadModel(
         scales=scales,
         strokes=middles,
         bandwidth_hz=paths[0].bandwidth_hz,
         effort_scale=effort_scale,
         sides=(sides[0], sides[1]),
-        torque_range=(
-            float(torque.min()) - MARGIN * spacing,
-            float(torque.max()) + MARGIN * spacing,
-        ),
+        torque_range=torque_range,
         direction=direction,
         region=learn_region(
-            place, speed, torque, _margins(sides, direction) * spacing, several=several
+            place, speed, torque, _margins(sides, direction, scatter) * spacing, several=several
         ),
-        loop=learn_loop(place, speed > 0, measured, recording),
+        loop=learn_loop(place, speed > 0, measured, torque, recording),
         noise=learned_noise([item.noise.by(effort_scale) for item in signals]),
-        paces=_two_paces(signals, pace) if two else np.empty(0),
+        paces=_learned_paces(
+            paths,
+            pace,
+            recording,
+            torque,
+            float(np.ptp(torque_range)) if enough else MARGIN * spacing,
+        ),
     )
     model = replace(model, slack=_slack(model, signals, level))
     against = direction * speed > 0
@@ -252,15 +260,16 @@ def _scales_as(prior: LoadModel, scales: Scales) -> Scales:
     return replace(prior.scales, low=scales.low, high=scales.high)
 
 
-def _margins(sides: Sequence[Side], direction: int) -> Array:
+def _margins(sides: Sequence[Side], direction: int, scatter: Sequence[float]) -> Array:
     """Return how far beyond the levels the torque is given, (2, 2), in spacings, see `region`.
 
-    Where the last level, left out, asks for an interval like those of the others, the model holds a
-    whole spacing beyond what it was learned from. Three levels do not show that: two are left, and
-    these carry no curvature. Not above the heaviest load while it drives the
-    motor: friction takes more and more of it, and the effort hardly depends on the load any more.
+    As far as the `scatter` of either side reaches, at most `NARROW`. Where the last level, left
+    out, asks for an interval like those of the others, the model holds a whole spacing beyond what
+    it was learned from. Three levels do not show that: two are left, and these carry no curvature.
+    Not above the heaviest load while it drives the motor: friction takes more and more of it, and
+    the effort hardly depends on the load any more.
     """
-    margins = np.full((2, 2), NARROW)
+    margins = np.tile(np.minimum(scatter, NARROW)[:, None], 2)
     for row, sign, side in zip(margins, SIDE_SIGNS, sides, strict=True):
         heaviest = 0 if abs(side.levels[0]) > abs(side.levels[-1]) else -1
         for end in (0, -1):
@@ -317,10 +326,16 @@ def _paces(signals: Sequence[LoadSignals]) -> Numbers:
     return np.array(level_numbers([pace_of(item.path) for item in signals], APART_SPEED))
 
 
-def _two_paces(signals: Sequence[LoadSignals], pace: Numbers) -> Array:
-    """Return the mean speeds (2,), rad/s, of recordings at two, see `pace_of`."""
-    every = np.array([pace_of(item.path) for item in signals])
-    return np.array([every[pace == number].mean() for number in (0, 1)])
+def _learned_paces(
+    paths: Sequence[ShaftPath], pace: Numbers, rows: Numbers, torque: Array, margin: float
+) -> Paces:
+    """Return the mean speed of paths by the number of their `pace` (r,), and the torques (n,)
+    there; `rows` (n,) are the numbers of paths."""
+    every = np.array([pace_of(path) for path in paths])
+    speeds = np.bincount(pace, every) / np.bincount(pace)
+    own = [torque[pace[rows] == number] for number in range(len(speeds))]
+    lowest, highest = (np.array([f(one) for one in own]) for f in (np.min, np.max))
+    return Paces(speeds, lowest - margin, highest + margin)
 
 
 def _strokes(signals: Sequence[LoadSignals]) -> tuple[Array, Numbers]:
@@ -332,6 +347,12 @@ def _strokes(signals: Sequence[LoadSignals]) -> tuple[Array, Numbers]:
     number = np.cumsum(np.diff(middle, prepend=middle[0]) > APART_STROKE * length.max())
     middles = np.bincount(number, middle) / np.bincount(number)
     return middles, number[np.argsort(order)]
+
+
+def _ends(numbers: Numbers) -> Numbers:
+    """Return numbers (n,) of conditions in order, -1 but for the first and the last of several."""
+    most = int(numbers.max())
+    return np.where((most > 0) & ((numbers == 0) | (numbers == most)), numbers, -1)
 
 
 def _inner(numbers: Numbers) -> Numbers:

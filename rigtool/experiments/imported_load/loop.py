@@ -3,13 +3,15 @@
 At one place x of the stroke, the torque of strokes in positive and in negative direction differs by
 d(x), which the learned loads do by themselves. Friction or tendons of another instrument open or
 close this loop, by one amount or differently along the stroke. With mean m(x) of d over the
-recordings that were learned, each as measured when it was left out,
+recordings that were learned, by the sensor,
 
     offset o = mean over x of d - m,   shape s(x) = d - m - o,
     T = max(|o| / S_o, root of the mean over x of (s / S_s)^2)
 
-with standard deviations S over those recordings. T is about 1 for them; Student's t with their
-number less one states how far it may be. The mean of o over n runs is known better than one: of r
+S are the root mean squares of o and s over those recordings, each as measured when it was left out
+with its load, or with others where that is the lowest or the highest: what few loads leave unknown
+of the friction between them is part of S. T is about 1; Student's t with the number of recordings
+less one states how far it may be. The mean of o over n runs is known better than one: of r
 recordings, its standard deviation is S_o sqrt(c + (1 - c) / n + 1 / r), where c is what runs at one
 load or speed have in common.
 """
@@ -41,7 +43,7 @@ DOUBTED, REFUSED = 0.95, 0.99
 @dataclass(frozen=True, eq=False)
 class StrokeLoop:
     """Of so many recordings, without unit: `mean` of the loop in each cell of the stroke and
-    standard deviation of its `shape` (c,), NaN where unknown, and that of its `offset`."""
+    root mean square of its `shape` (c,), NaN where unknown, and that of its `offset`."""
 
     mean: Array
     shape: Array
@@ -71,11 +73,17 @@ class StrokeLoop:
         return math.sqrt(variance) * self.limit(confidence)
 
 
-def learn_loop(place: Array, rising: Mask, torque: Array, recording: NDArray) -> StrokeLoop:
-    """Return the loop of recordings, from torques (n,) as measured when each was left out."""
+def learn_loop(
+    place: Array, rising: Mask, torque: Array, sensor: Array, recording: NDArray
+) -> StrokeLoop:
+    """Return the loop of recordings, from torques (n,) as measured when each was left out, and by
+    the sensor."""
     numbers = [recording == n for n in np.unique(recording)]
-    found = np.array([_loop(place[own], rising[own], torque[own]) for own in numbers])
-    mean = _over_recordings(found, 0)
+    found, true = (
+        np.array([_loop(place[own], rising[own], values[own]) for own in numbers])
+        for values in (torque, sensor)
+    )
+    mean = _over_recordings(true, 0)
     apart = found - mean
     offset = np.array(
         [np.mean(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in apart]

@@ -34,6 +34,7 @@ from rigtool.experiments.imported_load.region import (
     DRIVEN,
     Region,
     beside_known,
+    beside_known_strokes,
     of_known_strokes,
     reached,
 )
@@ -68,7 +69,8 @@ class TorqueEstimate:
     Near standstill, and so soon after a reversal that effort hardly depends on the load yet, the
     torque is the middle of a dead band and u that of a rectangular distribution (GUM 4.3.7).
     Outside what was learned, and where nothing bounds the torque, both are NaN. `compared` shows
-    the mounting: without unit, it has opening strokes besides that may be of heavier loads.
+    the mounting: without unit, it has opening strokes besides that may be of heavier loads, and all
+    at learned speeds where one direction has no value.
     `noisier` is what noise of the effort that was not learned multiplies u by.
     """
 
@@ -101,7 +103,8 @@ class Side:
     of the scatter's variance: constant, by the logarithm of speed, by torque; `factors` (l,)
     multiply uncertainties at torques `levels` (l,), which rise; between two they go in a line.
     `slope` is the usual one of effort by torque; `elsewhere` multiplies u of strokes at a place of
-    which none was learned, `between` that of strokes at other speeds where two were learned.
+    which none was learned; `other_speeds` is how many times u errors are at the first or the last
+    speed where that is left out.
     """
 
     groups: tuple[str, ...]
@@ -112,7 +115,11 @@ class Side:
     factors: Array
     slope: float
     elsewhere: float = 1.0
-    between: float = 1.0
+    other_speeds: float = 1.0
+
+    def at_other_speeds(self, share: float) -> float:
+        """Return the factor on u where such a `share` of that change counts, see `LoadModel`."""
+        return math.sqrt(1 + share * (self.other_speeds**2 - 1))
 
     def factor(self, torque: Array) -> Array:
         """Return the factor on uncertainties at torques (n,)."""
@@ -135,9 +142,56 @@ class Side:
 
 
 @dataclass(frozen=True, eq=False)
+class Paces:
+    """Speeds (p,), rad/s, at which strokes were recorded, rising, see `pace_of`; and the `lowest`
+    and `highest` torque (p,) there, margins included, without unit."""
+
+    speeds: Array
+    lowest: Array
+    highest: Array
+
+    def change(self, pace: float) -> float:
+        """Return the part of the variance that changes from one speed to the next, at another
+        speed; 0 at one of these.
+
+        As in a Wiener process, by the distance beyond the last speed over that of the last two;
+        between two speeds t (1 - t) at the part t of the way, where these are all: with more, those
+        between others were left out.
+        """
+        if len(self.speeds) < 2 or self._is_near(pace):
+            return 0.0
+        first, last = np.diff(self.speeds)[[0, -1]]
+        beyond = float(max((self.speeds[0] - pace) / first, (pace - self.speeds[-1]) / last))
+        if beyond < 0 and len(self.speeds) > 2:
+            return 0.0
+        return beyond if beyond > 0 else -beyond * (1 + beyond)
+
+    def between(self, pace: float) -> tuple[float, float]:
+        """Return the lowest and the highest torque that were learned at a speed, or on a line
+        between those at a lower and at a higher one: with what changes by speed elsewhere, effort
+        by load is not known there."""
+        speeds = self.speeds
+        if len(speeds) < 2:
+            return -math.inf, math.inf
+        near = speeds[np.argmin(np.abs(speeds - pace))]
+        pace = near if self._is_near(pace) else min(max(pace, speeds[0]), speeds[-1])
+        slower, faster = (np.flatnonzero(which) for which in (speeds <= pace, speeds >= pace))
+        way = np.maximum(speeds[faster] - speeds[slower, None], 1e-300)
+        share = (pace - speeds[slower, None]) / way
+        low, high = (
+            torque[slower, None] * (1 - share) + torque[faster] * share
+            for torque in (self.lowest, self.highest)
+        )
+        return float(low.min()), float(high.max())
+
+    def _is_near(self, pace: float) -> bool:
+        return bool(np.abs(pace - self.speeds).min() <= APART_SPEED * self.speeds[-1])
+
+
+@dataclass(frozen=True, eq=False)
 class LoadModel:
     """A model of both directions, positive speed first, from strokes with middles `strokes` (s,)
-    at `paces` (p,), see `pace_of`.
+    at `paces`; fewer than two are unknown.
 
     Effort is in units of `effort_scale`; `torque_range` are the lowest and highest torque that are
     looked at, without unit; `direction` is the sign of the speed against which the load acts;
@@ -156,7 +210,7 @@ class LoadModel:
     loop: StrokeLoop
     noise: LearnedNoise
     slack: float = 0.0
-    paces: Array = field(default_factory=lambda: np.empty(0))
+    paces: Paces = field(default_factory=lambda: Paces(*np.empty((3, 0))))
 
     def place(self, path: ShaftPath) -> Array:
         """Return the position (n,) as part of the learned stroke."""
@@ -166,11 +220,6 @@ class LoadModel:
         """Return whether strokes are at a place of which none was learned."""
         middle, length = stroke_of(path)
         return bool(np.abs(middle - self.strokes).min() > APART_STROKE * length)
-
-    def between(self, path: ShaftPath) -> bool:
-        """Return whether strokes have a speed that none had which was learned, of few."""
-        apart = np.abs(pace_of(path) - self.paces)
-        return bool(apart.size and apart.min() > APART_SPEED * self.paces.max())
 
     def read(self, signals: LoadSignals) -> TorqueEstimate:
         """Return the torque at the rows (n,) of a recording."""
@@ -188,7 +237,8 @@ class LoadModel:
         doubt = np.broadcast_to(doubt, effort.shape)
         speed, unit = path.speed / self.scales.speed, self.scales.torque
         torque, u, share, doubted = (np.full(len(speed), np.nan) for _ in range(4))
-        elsewhere, between = self.elsewhere(path), self.between(path)
+        elsewhere, change = self.elsewhere(path), self.paces.change(pace_of(path))
+        lightest, heaviest = self.paces.between(pace_of(path))
         for sign, side in zip(SIDE_SIGNS, self.sides, strict=True):
             mask = speed < 0 if sign < 0 else speed >= 0
             design = side.design(motion_functions(path, self.scales, sign))
@@ -196,7 +246,7 @@ class LoadModel:
             spread, slope = side.spread(design, speed, found)
             torque[mask] = np.where(known, found, np.nan)[mask]
             spread *= side.elsewhere if elsewhere else 1.0
-            spread *= side.between if between else 1.0
+            spread *= side.at_other_speeds(change)
             with np.errstate(invalid="ignore", divide="ignore"):
                 wider = np.hypot(spread, doubt / slope)
             u[mask], share[mask] = wider[mask], slope[mask] / side.slope
@@ -206,13 +256,18 @@ class LoadModel:
         place = self.place(path)
         moving = path.regular & reached(place) & ~hidden
         known = self.region.holds(place, speed, torque) & moving
+        known &= (torque >= lightest) & (torque <= heaviest)
         way = np.where(still, 0.0, np.sign(speed))
         usual = moving & self.region.moves(place, speed)
-        most = of_known_strokes(known, usual, way, DRIVEN) | (self.direction * speed >= 0)
+        against = self.direction * speed >= 0
+        most = against | of_known_strokes(known, usual, way, DRIVEN)
         known = of_known_strokes(known, moving, way)
-        compared = np.where(known, torque, np.nan)
+        # A heavier load shows in the strokes against it
+        most &= against | beside_known_strokes(known, moving & against, way)
+        both = (known & against).any() and (known & ~against).any()
+        compared = np.where(known if both else usual, torque, np.nan)
         known &= most
-        states = np.where(self.direction * speed >= 0, State.AGAINST, State.WITH)
+        states = np.where(against, State.AGAINST, State.WITH)
         states[hidden] = np.where(still, State.STILL, State.REVERSED)[hidden]
         low, high = self._dead_band(effort, path, hidden, doubt)
         bounded = hidden & path.regular & reached(place) & np.isfinite(low + high)

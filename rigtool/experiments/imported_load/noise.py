@@ -5,6 +5,8 @@ and speed. With density S of the noise in octaves above the bandwidth B, and the
 recordings that were learned, a recording has in the band, beside the scatter that was learned,
 
     more noise      variance max(S - S_highest) 3 pi B / (8 sqrt 2)   (of the low-pass squared)
+    fewer samples   the same of S_highest above half the sampling frequency, which folding spreads
+                    evenly below it, at most min(S - S_lowest) of what is seen there
     rounding        variance q^2/12 exp(-(2 pi s / q)^2)              (B. Widrow, I. Kollar, 2008)
     a low-pass      lag t = sqrt(r - 1) / (2 pi f), r = S_lowest / S at f: an error t de/dt
 
@@ -43,15 +45,16 @@ less noise alone 0."""
 
 @dataclass(frozen=True, eq=False)
 class EffortNoise:
-    """Of one recording: `density` (o,) of its noise in octaves above the bandwidth, unit^2/Hz, NaN
-    beyond half the sampling frequency; variance of its `rounding`, unit^2."""
+    """Of one recording at `rate` Hz: `density` (o,) of its noise in octaves above the bandwidth,
+    unit^2/Hz, NaN beyond half the rate; variance of its `rounding`, unit^2."""
 
     density: Array
     rounding: float
+    rate: float
 
     def by(self, unit: float) -> EffortNoise:
         """Return that of the effort by a unit."""
-        return EffortNoise(self.density / unit**2, self.rounding / unit**2)
+        return EffortNoise(self.density / unit**2, self.rounding / unit**2, self.rate)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,11 +69,22 @@ class LearnedNoise:
     def beyond(self, noise: EffortNoise, bandwidth_hz: float) -> tuple[float, float]:
         """Return the variance of noise and rounding beside those learned, and the lag, s."""
         more = noise.density - self.highest
-        density = float(np.max(more, where=np.isfinite(more), initial=0.0))
+        density = float(
+            np.max(more, where=np.isfinite(more), initial=self._folded(noise, bandwidth_hz))
+        )
         rounding = max(noise.rounding - self.rounding, 0.0)
         ratios = (self.lowest / noise.density, noise.density / self.highest)
         lag = max(_lag(ratio, bandwidth_hz) for ratio in ratios)
         return PASSED * bandwidth_hz * density + rounding, lag
+
+    def _folded(self, noise: EffortNoise, bandwidth_hz: float) -> float:
+        """Return the density of noise from above half the rate of a recording, 1/Hz."""
+        above = np.isnan(noise.density) & np.isfinite(self.highest)
+        most = float(np.sum((self.highest * np.diff(_edges(bandwidth_hz)))[above])) / (
+            noise.rate / 2
+        )
+        seen = noise.density - self.lowest
+        return max(float(np.min(seen, where=np.isfinite(seen), initial=most)), 0.0)
 
 
 def learned_noise(noises: Sequence[EffortNoise]) -> LearnedNoise:
@@ -96,7 +110,7 @@ def noise_of(effort: Array, rate: float, bandwidth_hz: float) -> EffortNoise:
     step = float(np.ptp(effort)) / max(len(np.unique(effort)) - 1, 1)
     scatter = max(float(np.var(np.diff(effort))) / 2 - step**2 / 12, 0.0)
     dither = math.exp(-min((2 * math.pi) ** 2 * scatter / max(step**2, 1e-300), 700.0))
-    return EffortNoise(density, step**2 / 12 * dither)
+    return EffortNoise(density, step**2 / 12 * dither, rate)
 
 
 def _density(effort: Array, segment: int, rate: float, bandwidth_hz: float) -> Array:

@@ -71,19 +71,47 @@ def of_known_strokes(
 ) -> Mask:
     """Return which of the `known` rows (n,) belong to strokes of which such a share is known.
 
-    `moving` (n,) marks rows that count, `direction` (n,) changes from one stroke to the next.
+    `moving` (n,) marks rows that count, `direction` (n,) changes from one stroke to the next. The
+    first and the last stroke are parts of strokes, and count together with the nearest that has
+    their direction.
     """
-    stroke = np.cumsum(np.diff(direction, prepend=direction[:1]) != 0)
+    stroke = strokes_of(direction)
     inside, every = (np.bincount(stroke, rows) for rows in (known & moving, moving))
+    for counts in (inside, every):
+        if counts.size > 3:
+            counts[[0, -1]] += counts[[2, -3]]
     return known & (inside >= share * every)[stroke]
 
 
 def beside_known(known: Mask, direction: Array) -> Mask:
-    """Return which rows (n,) are in a stroke with a `known` row, or next to one; between strokes
-    the `direction` (n,) may be zero."""
-    stroke = np.cumsum(np.diff(direction, prepend=direction[:1]) != 0)
-    near = np.convolve(np.bincount(stroke, known) > 0, np.ones(5))[2:-2] > 0
-    return near[stroke]
+    """Return which rows (n,) are in a stroke with a `known` row, or next to one."""
+    return _beside(known, direction) > 0
+
+
+def beside_known_strokes(known: Mask, counted: Mask, direction: Array) -> Mask:
+    """Return which rows (n,) are in strokes beside which half of the `counted` rows (n,) are
+    `known`, or where none counts."""
+    return _beside(known & counted, direction) >= MIN_INSIDE_PART * _beside(counted, direction)
+
+
+def _beside(rows: Mask, direction: Array) -> NDArray[np.intp]:
+    """Return for each row (n,) how many `rows` are in its stroke and in those next to it."""
+    stroke = strokes_of(direction)
+    found: NDArray[np.intp] = np.convolve(np.bincount(stroke, rows), np.ones(3, int), "same")[
+        stroke
+    ]
+    return found
+
+
+def strokes_of(direction: Array) -> NDArray[np.intp]:
+    """Return the number of the stroke of each row (n,); a standstill belongs to the stroke before,
+    also where the motion goes on in the same `direction` (n,)."""
+    decided = np.flatnonzero(direction)
+    if not decided.size:
+        return np.zeros(len(direction), dtype=np.intp)
+    latest = np.searchsorted(decided, np.arange(len(direction)), side="right") - 1
+    way = direction[decided[np.maximum(latest, 0)]]
+    return np.cumsum(np.diff(way, prepend=way[:1]) != 0)
 
 
 def cells_of(place: Array) -> NDArray[np.intp]:

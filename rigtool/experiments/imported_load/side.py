@@ -13,9 +13,9 @@ The uncertainty has three parts: of the coefficients, from how whole recordings 
 residuals may be correlated in time as they like; scatter, that changes with speed and load; and a
 factor for each load level, that makes 95 % intervals hold 95 % of its rows when the level, or one
 of the speeds between others, was left out. Where strokes were learned at different places, one more
-factor does so for strokes at places between them, of which no recording was learned. Of two speeds
-none is between others: each is left out, and a part of the errors counts at speeds that were not
-learned, `BETWEEN_TWO`.
+factor does so for strokes at places between them, of which no recording was learned. The first and
+the last speed are between no others: each is left out, and what that changes counts at speeds
+beyond, and between two where these are all.
 """
 
 from __future__ import annotations
@@ -69,23 +69,21 @@ ALWAYS_GROUPS = ("offset", "load")
 INTERVAL_COVERAGE = 0.95
 """Coverage of intervals."""
 
-BETWEEN_TWO = 6**-0.5
-"""Root of the mean variance between two learned speeds, over the variance of what effort changes by
-from one to the other: that of a Wiener process whose two ends are known."""
-
 LOG_CHI2 = 1.270362845461478
 """Minus the expected logarithm of a squared standard normal number."""
 
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Rows (n,) of levels that were left out: error and u of the torque, without unit.
+    """Rows (n,) of levels that were left out: error and u of the torque, without unit; `within` is
+    the error where the lowest and the highest level are left out in another way, if there is one.
 
     `resolved` (n,) marks rows where effort depends enough on the load for an error. `slope`
     (n,) of effort by torque is that of all rows, `slopes` (folds, n) those without each fold.
     """
 
     error: Array
+    within: Array
     u: Array
     slope: Array
     slopes: Array
@@ -195,9 +193,9 @@ class Fit:
             slope[rows] = slopes[-1][rows]
         return residual, variance, slope, np.array(slopes)
 
-    def model(self, strokes: Numbers, two_speeds: Numbers | None = None) -> tuple[Side, HeldOut]:
+    def model(self, strokes: Numbers, ends: Numbers) -> tuple[Side, HeldOut]:
         """Return the model, and how it did at folds that were left out; `strokes` (n,) is the way
-        of leaving out strokes at other places, `two_speeds` (n,) that of either of two speeds."""
+        of leaving out strokes at other places, `ends` (n,) that of the first and the last speed."""
         coefficients = self.sums.solve(self.sums.all)
         covariance = self.sums.covariance(self.sums.all, coefficients)
         found = [self.left_out(fold) for fold in self.folds]
@@ -220,15 +218,17 @@ class Fit:
         def widest(fold: Numbers) -> float:
             apart, doubt, *_ = self.left_out(fold)
             ratio = np.abs(apart) / np.sqrt(doubt + own) / side.factor(self.rows.torque)
-            return float(np.nanquantile(ratio, INTERVAL_COVERAGE)) / COVERAGE_FACTOR
+            return max(1.0, float(np.nanquantile(ratio, INTERVAL_COVERAGE)) / COVERAGE_FACTOR)
 
-        elsewhere = widest(strokes) if (strokes >= 0).any() else 1.0
-        between = 1.0 if two_speeds is None else BETWEEN_TWO * widest(two_speeds)
-        side = replace(side, elsewhere=max(1.0, elsewhere), between=max(1.0, between))
+        elsewhere, speeds = (widest(fold) if (fold >= 0).any() else 1.0 for fold in (strokes, ends))
+        side = replace(side, elsewhere=elsewhere, other_speeds=speeds)
         resolved = np.abs(slope) >= FLAT_SLOPE * usual
         safe = np.where(resolved, slope, usual)
+        ends = (self.level == self.level.min()) | (self.level == self.level.max())
+        other = found[min(1, len(found) - 1)][0]
         held = HeldOut(
             error=-residual / safe,
+            within=-np.where(ends & np.isfinite(other), other, residual) / safe,
             u=side.factor(self.rows.torque) * np.sqrt(variance + own) / np.abs(safe),
             slope=self.design.slope(side.weights, self.rows.torque),
             slopes=slopes,
@@ -255,10 +255,11 @@ class Fit:
         for level in np.unique(self.level):
             own = self.level == level
             parts = [ratio[own & np.isfinite(ratio)] for ratio in ratios]
-            asked = [
-                float(np.quantile(part, INTERVAL_COVERAGE)) if part.size else 0.0 for part in parts
-            ]
-            widest = max(asked), max(asked[loads_left_out:] or asked)
+            every, others = (
+                [float(np.quantile(part, INTERVAL_COVERAGE)) for part in some if part.size]
+                for some in (parts, parts[loads_left_out:])
+            )
+            widest = max(every), max(others or every)
             factors = np.multiply(wider / COVERAGE_FACTOR, widest)
             rows.append((float(self.rows.torque[own].mean()), *factors))
         levels, left_out, learned = np.array(sorted(rows)).T

@@ -14,7 +14,7 @@ import numpy as np
 from rigtool.errors import RunFileError
 from rigtool.experiments.imported_load.basis import FUNCTION_GROUPS, Scales, size_of
 from rigtool.experiments.imported_load.loop import StrokeLoop
-from rigtool.experiments.imported_load.model import SIDE_SIGNS, LoadModel, Side
+from rigtool.experiments.imported_load.model import SIDE_SIGNS, LoadModel, Paces, Side
 from rigtool.experiments.imported_load.noise import OCTAVES, LearnedNoise
 from rigtool.experiments.imported_load.region import STROKE_CELLS, Region
 from rigtool.runfile import Column, Run, Table
@@ -115,10 +115,10 @@ def _side_tables(sides: Sequence[Side]) -> dict[str, Table]:
                 "1",
                 "factor on uncertainty, for strokes at other places",
             ),
-            between=(
-                [side.between for side in sides],
+            other_speeds=(
+                [side.other_speeds for side in sides],
                 "1",
-                "the same at other speeds, where two were learned",
+                "errors over uncertainty at the first and the last speed, left out",
             ),
         ),
         "_factors": _table(
@@ -171,9 +171,11 @@ def _motion_tables(model: LoadModel, effort_unit: str) -> dict[str, Table]:
         "_paces": _table(
             "pace",
             "speed",
-            "speeds of the strokes, where two were learned",
-            pace=(np.arange(len(model.paces)), "1"),
-            speed=(model.paces, "rad/s", "root mean square, of the motor"),
+            "speeds of the strokes",
+            pace=(np.arange(len(model.paces.speeds)), "1"),
+            speed=(model.paces.speeds, "rad/s", "root mean square, of the motor"),
+            lowest=(model.paces.lowest, "1", "torque there, margin included"),
+            highest=(model.paces.highest, "1", "torque there, margin included"),
         ),
         "_noise": _table(
             "octave",
@@ -220,7 +222,6 @@ def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
     terms, covariance, scales, scatter, factors, region, strokes, noise, loop = (
         tables[MODEL_TABLE + part] for part in _PARTS if part != "_paces"
     )
-    paces = tables.get(MODEL_TABLE + "_paces")  # none in older tables
     sides = []
     for number, sign in enumerate(SIDE_SIGNS):
         where = np.flatnonzero(terms["sign"] == sign)
@@ -238,7 +239,11 @@ def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
                 factors=factors["factor"][own],
                 slope=float(scatter["slope"][number]),
                 elsewhere=float(scatter["elsewhere"][number]),
-                between=float(scatter["between"][number]) if "between" in scatter.columns else 1.0,
+                other_speeds=(  # older tables have none
+                    float(scatter["other_speeds"][number])
+                    if "other_speeds" in scatter.columns
+                    else 1.0
+                ),
             )
         )
     model = LoadModel(
@@ -254,7 +259,15 @@ def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
             loop["mean"], loop["shape"], float(loop["offset"][0]), int(loop["recordings"][0])
         ),
         slack=float(scales["slack"][0]),
-        paces=paces["speed"] if paces is not None else np.empty(0),
+        paces=_paces_from(tables),
         noise=LearnedNoise(noise["lowest"], noise["highest"], float(noise["rounding"][0])),
     )
     return model, scales.columns["effort"].unit
+
+
+def _paces_from(tables: Mapping[str, Table]) -> Paces:
+    """Return the speeds of the strokes; older tables do not state all of them."""
+    table = tables.get(MODEL_TABLE + "_paces")
+    if table is None or "lowest" not in table.columns:
+        return Paces(*np.empty((3, 0)))
+    return Paces(*(table[name] for name in ("speed", "lowest", "highest")))

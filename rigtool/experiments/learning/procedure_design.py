@@ -15,8 +15,9 @@ from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Run, Table
 
-FREQUENCY_POINTS = 400
-"""Points of the frequency axis, from DC to half the sampling rate."""
+FREQUENCY_POINTS, LOWEST_FREQUENCY = 400, 1e-5
+"""Points of the frequency axis, from DC to half the sampling rate; the first one above DC, as a
+part of the last one."""
 
 COMPUTED_BOUND = (
     "follows exactly from the recipe's controller and nominal inertia; nothing was measured"
@@ -133,7 +134,9 @@ def design_filters(recipe: Recipe, plant: Run | None = None) -> FilterDesign:
         measured=measured,
     )
     nyquist = 0.5 / rig.sample_time
-    frequency = np.concatenate([[0.0], np.geomspace(nyquist * 1e-5, nyquist, FREQUENCY_POINTS - 1)])
+    frequency = np.concatenate(
+        [[0.0], np.geomspace(nyquist * LOWEST_FREQUENCY, nyquist, FREQUENCY_POINTS - 1)]
+    )
     if measured is not None:
         frequency = np.union1d(frequency, measured.frequency)
     criterion = convergence(learning, frequency)

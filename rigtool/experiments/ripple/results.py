@@ -16,6 +16,7 @@ from rigtool.experiments.ripple.orders import (
     Spectrum,
     spectrum,
 )
+from rigtool.experiments.ripple.shared_scatter import shared_floor
 from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.quantity import Quantity, error_line
 from rigtool.recipe import Recipe
@@ -50,19 +51,20 @@ def _loop(recipe: Recipe, frequency: Array) -> ComplexArray:
     return position_loop(**recipe.rig.loop_design).complementary_sensitivity.response(frequency)
 
 
-def _spectrum(ripple: Ripple, recipe: Recipe, turns_per_s: float) -> tuple[Spectrum, Array]:
-    """Return the orders of the motor's torque, and the relative u of their amplitudes by T.
+def _spectrum(ripple: Ripple, recipe: Recipe, turns_per_s: float) -> tuple[Spectrum, Array, Array]:
+    """Return the orders of the motor's torque, the degrees of freedom of their scatter, and the
+    relative u of their amplitudes by T.
 
     T has the relative error |1 - T| times that of the inertia.
     """
     asked = spectrum(ripple, HIGHEST_ORDER)
+    # Both parts of a coefficient scatter.
+    floor, dof = shared_floor(asked.order, asked.noise_floor, 2 * (len(ripple.waveforms) - 1))
     loop = _loop(recipe, asked.order * turns_per_s)
     gain = np.where(np.abs(loop) >= LOWEST_FOLLOWED, np.abs(loop), np.nan)
     phase = np.angle(np.exp(1j * (asked.phase - np.angle(loop))))
-    motor = replace(
-        asked, amplitude=asked.amplitude / gain, phase=phase, noise_floor=asked.noise_floor / gain
-    )
-    return motor, np.abs(1 - loop) * INERTIA_U
+    motor = replace(asked, amplitude=asked.amplitude / gain, phase=phase, noise_floor=floor / gain)
+    return motor, dof, np.abs(1 - loop) * INERTIA_U
 
 
 def ripple_results(by_speed: Sequence[Ripple]) -> dict[str, Quantity]:
@@ -131,13 +133,13 @@ def condition_tables(
     turns = [recording.condition("speed") / (2 * math.pi) for recording in recordings]
     spectra, u, dof = [], [], []
     for recording, ripple, turns_per_s in zip(recordings, ripples, turns, strict=True):
-        own, by_loop = _spectrum(ripple, recipe, turns_per_s)
+        own, free, by_loop = _spectrum(ripple, recipe, turns_per_s)
         constant = constants[recording.name]
         scale = own.amplitude * (constant.u or 0.0) / constant.value
         total = np.hypot(np.hypot(own.u, own.amplitude * by_loop), scale)
         known = 1 / constant.dof if constant.dof else 0.0
         with np.errstate(divide="ignore", invalid="ignore"):  # Welch and Satterthwaite
-            scatter = own.u**4 / (2 * (len(ripple.waveforms) - 1))
+            scatter = own.u**4 / free
             dof.append(total**4 / (scatter + known * scale**4))
         spectra.append(own)
         u.append(total)
@@ -163,7 +165,8 @@ def condition_tables(
             "noise_floor": Column(
                 np.stack([s.noise_floor for s in spectra]),
                 "N m",
-                "amplitude that scatter between revolutions alone would show",
+                "amplitude that scatter between revolutions alone would show; of few, with the "
+                "orders around",
             ),
             "u": Column(np.stack(u), "N m", "standard, of the amplitude: scatter, constant, T"),
             "dof": dof_column(np.stack(dof)),

@@ -81,10 +81,10 @@ def model(recordings=6, offset=0.1, elsewhere=1.0, between=1.0):
         read=lambda signals: estimate(signals.path),
         estimate=estimate,
         elsewhere=lambda path: path.position.min() > 2.5,
-        between=lambda path: path.position.max() > 11.5,
+        paces=SimpleNamespace(change=lambda pace: 0.5),
         sides=[
-            SimpleNamespace(elsewhere=1.0, between=between),
-            SimpleNamespace(elsewhere=elsewhere, between=1.0),
+            SimpleNamespace(elsewhere=1.0, at_other_speeds=lambda share: 1 + share * (between - 1)),
+            SimpleNamespace(elsewhere=elsewhere, at_other_speeds=lambda share: 1.0),
         ],
         loop=StrokeLoop(np.zeros(20), np.full(20, 0.2), offset, recordings),
     )
@@ -276,7 +276,7 @@ def test_tables_of_another_rig_are_refused():
 def test_speeds_that_were_not_learned_are_noted():
     signals, *_ = run()
     said = []
-    for between in (1.0, 1.4):
+    for between in (1.0, 1.8):
         own = model(between=between)
         notes = imported._require_inside([Measured(signals, own.estimate(signals.path))], own)
         said.append([note for note in notes if "speeds of which none was learned" in note])

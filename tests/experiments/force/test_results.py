@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.stats import norm, shapiro
 
 from rigtool.experiments.force.cycles import Cycle, statistics
 from rigtool.experiments.force.results import (
@@ -205,6 +206,17 @@ def test_tables_hold_readings_and_curves_of_every_load():
         assert_allclose(values[number, : load.values.size], load.values)
         assert np.isnan(values[number, load.values.size :]).all()
     assert values.shape == (3, 6)
+    for name, axis in (("values", "cycle"), ("cycles_no_load", "cycle"), ("loads", "load")):
+        table = found.tables[name]
+        assert table[axis].tolist() == list(range(len(table[axis]))), name
+    plot = found.tables["probability_plot"]
+    assert_allclose(plot["value"], np.sort(loads[0].values))
+    # Filliben: medians of the order statistics of a uniform distribution
+    assert_allclose(norm.cdf(plot["quantile"]), plot["probability"])
+    assert_allclose(plot["probability"][[0, -1]], [1 - 0.5 ** (1 / 6), 0.5 ** (1 / 6)])
+    assert found.results["normality_p"].value == pytest.approx(
+        shapiro(loads[0].values).pvalue, 0.02
+    )
     grid = stroke_grid(recipe)
     size, cycles = 2 * len(grid) - 1, found.tables["cycles_no_load"]
     assert_allclose(cycles["position"][[0, len(grid) - 1, -1]], [0, grid[-1], 2 * grid[-1]])

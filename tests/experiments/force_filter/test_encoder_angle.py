@@ -38,3 +38,16 @@ def test_a_rotor_that_never_moves_is_in_the_middle_of_its_count(samples):
     np.testing.assert_array_equal(interpolated(np.full(samples, -3.0), place), -2.5)
     known, angle = known_angles(np.full(samples, -3.0))
     assert known.size == angle.size == 0
+
+
+@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("ends", [True, False])
+def test_a_sample_beside_a_leap_of_counts_is_not_one_with_an_edge(way, ends):
+    """The rotor passes several counts in a sample: then it is where that sample's mean is."""
+    slow, leap = way * np.array([0.5, 1.0]), way * np.array([6.25, 7.0])
+    encoder = np.concatenate([slow, leap] if ends else [leap, slow])
+    place, angle = known_angles(encoder)
+    beside = [2, 1]  # on either side of the leap
+    for number in beside:
+        at = np.flatnonzero(place == number + 0.5)
+        assert_allclose(angle[at], [encoder[number] + 0.5])

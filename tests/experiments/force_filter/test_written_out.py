@@ -203,7 +203,7 @@ def pieces(monkeypatch):
 def test_steps_are_smoothed_in_blocks_that_enough_others_follow(pieces, step_time):
     """A block is 64 s; what it returns has 20 s behind it, in whole pieces."""
     block, ahead = round(64 / step_time), round(20 / step_time)
-    lengths = [1000, 1, 0, 1700, 2500, 300, 0, 3000, 4000, 10, 9000, 2000]
+    lengths = [1000, 1, 0, 1700, 2500, 300, 0, 3000, 4000, 10, 9000, ahead - 1, 1]
     own, waiting, taken = Smoother(UNCERTAINTY, step_time), [], 0
     for number, piece in enumerate(pieces(*lengths)):
         if lengths[number]:

@@ -70,7 +70,7 @@ def test_a_gap_and_bad_samples_divide_a_recording():
     time[8:] += 0.5
     good = np.ones(20, dtype=bool)
     good[15] = False
-    assert unbroken(time, good, 0.1) == [slice(0, 8), slice(8, 15), slice(16, 20)]
+    assert unbroken(np.diff(time), good, 0.1) == [slice(0, 8), slice(8, 15), slice(16, 20)]
 
 
 class Plain:
@@ -116,7 +116,7 @@ def test_angles_belong_to_the_middle_of_what_acts_at_any_rate_of_a_loop(rate, sp
     sampler = Sampler(grid, 1.0, Plain(), context=0)
     found = [sampler.add(samples[:, a:b]) for a, b in pairwise([0, 0, 1, 700, 701, 1600])]
     low = np.concatenate([signals.low for signals, _ in found])
-    acts = np.concatenate([others[0] for _, others in found])
+    acts = np.concatenate([others[2] for _, others in found])
     late = (low + 0.5 - speed * acts)[grid.step_samples :: grid.step_samples]
     assert abs(late.mean()) < 0.1
     assert np.abs(late).max() <= 0.5 + 1e-6

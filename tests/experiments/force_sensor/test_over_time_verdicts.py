@@ -8,7 +8,11 @@ import pytest
 
 from rigtool.errors import InsufficientDataError, RunFileError
 from rigtool.experiments.force_filter.motion_states import Reach, State
-from rigtool.experiments.force_sensor import procedure_calibration, procedure_instrument
+from rigtool.experiments.force_sensor import (
+    procedure_calibration,
+    procedure_instrument,
+    procedure_over_time,
+)
 from rigtool.experiments.force_sensor.encoder_zero import EncoderZero
 from rigtool.experiments.force_sensor.procedure_calibration import require_calibration
 from rigtool.experiments.force_sensor.procedure_instrument import (
@@ -20,6 +24,7 @@ from rigtool.experiments.force_sensor.procedure_over_time import _require_values
 from rigtool.experiments.force_sensor.results_over_time import Recorded
 from rigtool.experiments.force_sensor.signal_faults import SignalFault
 from rigtool.experiments.force_sensor.unknown_friction import UnknownFriction
+from rigtool.experiments.outcome import Outcome
 from rigtool.recipe import load_recipe
 from tests.experiments.deploy.sensors import Model
 from tests.experiments.force_filter.plants import PLANT
@@ -218,3 +223,48 @@ def test_a_constant_of_half_as_much_again_is_another_motors(ratio, refused, monk
         return
     with pytest.raises(RunFileError, match="another motor"):
         require_calibration(given, own)
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_a_zero_that_is_found_once_more_was_another_thing(monkeypatch, again):
+    """Recordings are read with it taken off, and kept where nothing of it is left."""
+    module, zero = procedure_over_time, SimpleNamespace(moved=0.2)
+    channels = (*module.NEEDED_CHANNELS, "position_setpoint")
+
+    def recording(name, size=9, has=channels):
+        return SimpleNamespace(name=name, size=size, has=has.__contains__)
+
+    made = [recording("one"), recording("empty", 0), recording("other", has=("time",))]
+    run = SimpleNamespace(path="run.h5", recordings={one.name: one for one in made})
+    given = {}
+
+    def read(one, recipe, kt, model, reach, moved=0.0):
+        part = SimpleNamespace(passes=("", f"passes {moved}"), states=np.array([State.AGAINST]))
+        return SimpleNamespace(name=one.name, parts=(part,), moved=moved)
+
+    def judged(read, model, tables, kt, *, observed, zero):
+        given.update(read=[(one.name, one.moved) for one in read], observed=observed, zero=zero)
+        return read, ["judged"]
+
+    monkeypatch.setattr(module, "read_recording", read)
+    monkeypatch.setattr(module, "model_and_reach", lambda *_: (model, SimpleNamespace(angle=None)))
+    monkeypatch.setattr(module, "largest_friction", lambda model, observed: None)
+    monkeypatch.setattr(
+        module,
+        "encoder_zero",
+        lambda passes, *_: zero if passes == ["passes 0.0"] or again else None,
+    )
+    monkeypatch.setattr(module, "of_this_instrument", judged)
+    monkeypatch.setattr(module, "force_outcome", lambda *_: Outcome({}, {}, ("own",)))
+    model, rig = SimpleNamespace(scales=[1.0], limits=2.0), SimpleNamespace(load_arm=0.02)
+    rig.encoder_counts = 4000
+    recipe = SimpleNamespace(rig=rig)
+    tables = SimpleNamespace(recipe=recipe, path="tables.h5")
+    found = module.analyse_over_time([run], recipe, kt=None, tables=tables)
+    assert found.notes == ("own", "judged")
+    expected = (None, 0.0) if again else (zero, 0.2)
+    assert (given["zero"], given["read"]) == (expected[0], [("one", expected[1])])
+    assert not given["observed"]
+    made[0].has = channels[:-1].__contains__
+    module.analyse_over_time([run], recipe, kt=None, tables=tables)
+    assert given["observed"]

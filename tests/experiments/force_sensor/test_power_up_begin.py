@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.signal import butter, lfilter
 
 from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, STATES, TORQUE
 from rigtool.experiments.force_model.model import GAIN_ORDERS, RIPPLE_ORDERS, Kind, Term
@@ -142,3 +143,61 @@ def test_it_slides_where_the_long_bristle_is_bent_in_the_direction_of_motion(mon
     assert driven.flags.c_contiguous
     assert driven.tolist() == [[1, 1, 7]] * 4
     assert angle.tolist() == [0, 1, 2, 3]
+
+
+def test_each_step_gives_mean_and_variance_of_the_mixture_of_both_power_ups():
+    """Moments of the parts, with and without a contact that lasts; scipy's low-pass."""
+    model, rng, step = covaried(), np.random.default_rng(5), 1e-3
+    own = PowerUp(model, step, 10.0)
+    s, count = own._state[0], 2 * len(RIPPLE_ORDERS)
+    root = 1e-3 * rng.standard_normal((count + 1, count + 1))
+    s["covariance"], s["length"] = root @ root.T, 100.0  # no row is full
+    for name in ("mean", "shift"):
+        s[name] = rng.standard_normal(count + 1) * (1e-3 if name == "mean" else 0.3)
+    s["lasting"], s["lasts"], s["other"] = (2e-3, 3e-7), 0.3, 0.4
+    s["waves"] = before = rng.uniform(-1, 1, count)
+    weight, factor = own.probability, PLANT.torque_factor
+    angle = np.array([0.4, 0.5, 0.7, 0.8])
+    states, current = np.zeros((4, STATES)), np.array([-0.5, 0.2, 1.0, 0.7])
+    states[:, SPEED] = 3.0
+    drive = np.column_stack([0.045 * current, current])
+    means = []
+    for k in range(4):
+        ripple, variance, less, by_current = own.add(
+            angle[[k]], states[[k]], 0.01 * np.ones((1, 6)), drive[[k]]
+        )
+        orders = np.repeat(RIPPLE_ORDERS, 2)
+        fresh = np.where(np.arange(count) % 2, np.sin(orders * angle[k]), np.cos(orders * angle[k]))
+        before = before + (1 - math.exp(-step / LEARNED.shape.ripple_time)) * (fresh - before)
+        assert_allclose(s["waves"], before)
+        squares = (before**2).reshape(-1, 2).sum(axis=1)[: len(GAIN_ORDERS)]
+        grows = s["growing"] @ np.abs(current[k]) ** np.arange(3)
+        assert_allclose(by_current, [(factor * 0.045 * current[k]) ** 2 * grows @ squares])
+        seen, shift = factor * s["seen"], factor * s["seen"] @ s["shift"][:-1]
+        alone, carried = seen @ s["mean"][:-1], shift * s["lasting"][0]
+        spread = seen @ s["covariance"][:-1, :-1] @ seen + by_current[0]
+        parts = [(1 - weight, 0.0, 0.0), (weight * 0.7, alone, spread)]
+        parts.append((weight * 0.3, alone + carried, spread + shift**2 * s["lasting"][1]))
+        mean = sum(p * m for p, m, _ in parts)
+        square = sum(p * (v + m**2) for p, m, v in parts)
+        assert_allclose(variance, square - mean**2)
+        taken = s["mean"][:-1] + 0.3 * s["lasting"][0] * s["shift"][:-1]
+        assert_allclose(less, weight * before @ taken)
+        means.append(mean)
+        assert_allclose(ripple[0], lfilter(*butter(2, 10.0, fs=1 / step), means)[-1])
+    # again, from the whole recording: as ripple is, behind no filter that shows it
+    again, variance, less = own.whole(angle, np.zeros(4))
+    state = own._state[0]
+    waves, kept = np.zeros(count), math.exp(-step / LEARNED.shape.ripple_time)
+    for k in range(4):
+        fresh = np.where(np.arange(count) % 2, np.sin(orders * angle[k]), np.cos(orders * angle[k]))
+        waves = kept * waves + (1 - kept) * fresh
+        taken = state["mean"][:-1] + 0.3 * state["lasting"][0] * state["shift"][:-1]
+        assert_allclose(again[k], weight * factor * waves @ taken)
+        assert_allclose(less[k], again[k] / factor)
+        spread = factor**2 * waves @ state["covariance"][:-1, :-1] @ waves
+        shift = factor * waves @ state["shift"][:-1]
+        moments = state["lasting"][1] + state["lasting"][0] ** 2
+        square = spread + 0.3 * shift**2 * moments - (0.3 * shift * state["lasting"][0]) ** 2
+        mean = again[k] / weight
+        assert_allclose(variance[k], weight * square + weight * (1 - weight) * mean**2)

@@ -94,7 +94,8 @@ class Sensed:
 def test_rows_are_every_so_many_steps_whatever_the_blocks_are(every, blocks, monkeypatch):
     monkeypatch.setattr(Model, "limits", np.full((3, 2), np.inf), raising=False)
     monkeypatch.setattr(module, "Sensor", Sensed)
-    monkeypatch.setattr(module, "steps_of_a_row", lambda step, corner: every)
+    asked = []
+    monkeypatch.setattr(module, "steps_of_a_row", lambda *given: asked.append(given) or every)
     monkeypatch.setattr(Stretch, "_smooth", lambda self, sensed, last: None)
     own = instrument(interval=1e-3, loop_time=1e-3, current_limit=1.5)
     with ThreadPoolExecutor(1) as one, ThreadPoolExecutor(1) as other:
@@ -107,6 +108,7 @@ def test_rows_are_every_so_many_steps_whatever_the_blocks_are(every, blocks, mon
             first += size
         found._settle()
     assert found._steps == 40
+    assert asked == [(own.grid.step_time, own.corner_hz)]
     rows = np.arange(0.0, 40.0, every)
     for number, name in enumerate(("less", "causal", "causal_u", "by_current", "unbent")):
         expected = np.arange(40.0) if name == "less" else rows

@@ -5,8 +5,18 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from rigtool.experiments.friction.effort_delay import _last, _likely, on_time
-from rigtool.experiments.friction.motion_terms import DELAY, DYNAMICS_PARAMETERS, SmoothedMotion
+from rigtool.experiments.friction.effort_delay import (
+    SECOND_ORDER_RATIO,
+    _last,
+    _likely,
+    on_time,
+)
+from rigtool.experiments.friction.motion_terms import (
+    DELAY,
+    DYNAMICS_PARAMETERS,
+    SmoothedMotion,
+    weighted,
+)
 
 SPACING, COUNT, EVERY = 2e-3, 6000, 4
 TRUE = np.array([2e-5, 1e-4, 3e-3, 0.5e-3])  # inertia, viscous, Coulomb, offset
@@ -106,3 +116,22 @@ def test_the_last_coefficient_has_the_variance_of_least_squares():
     twice = np.column_stack([columns, columns[:, 0] + columns[:, 2]])
     assert _last([own], twice, torque) == (0.0, np.inf)
     assert DYNAMICS_PARAMETERS[2] == "coulomb"
+
+
+def test_a_delay_that_may_be_a_filter_changes_by_its_second_order():
+    """d^2/2 of the model's second derivative, with Coulomb friction or without, as a regressor."""
+    here, delay, unstated = on_time([motion(8e-3), motion(8e-3, seed=2)], CHOSEN)
+    design, torque, weight = weighted(here)
+    columns = design[:, [*CHOSEN, DELAY]]
+    solution = np.linalg.lstsq(columns, torque, rcond=None)[0][:4]
+    changes = []
+    for kept in ([1, 1, 1, 1], [1, 1, 0, 1]):
+        models = [own.design[:, :4] @ (solution * kept) for own in here]
+        bent = [np.gradient(np.gradient(model, SPACING), SPACING) for model in models]
+        beyond = delay**2 / 2 * np.concatenate(bent) * weight
+        part, square = _last(here, np.column_stack([columns, beyond]), torque)
+        alike = np.linalg.lstsq(columns, beyond, rcond=None)[0][:4]
+        changes.append(np.abs(alike) * _likely(part, square, 1 / 3) * SECOND_ORDER_RATIO)
+    np.testing.assert_allclose(unstated[:4], np.max(changes, axis=0), rtol=1e-9)
+    assert (changes[1] > changes[0]).any()
+    assert (changes[0] > changes[1]).any()

@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from scipy.stats import chi2
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.friction import procedure_analysis
+from rigtool.experiments.friction import procedure, procedure_analysis
 from rigtool.experiments.friction.breakaway import (
     BREAKAWAY_TIME,
     Breakaway,
@@ -30,7 +31,10 @@ from rigtool.experiments.friction.holds import (
     find_holds,
     pool,
 )
-from rigtool.experiments.friction.low_current import require_calibrated_gain
+from rigtool.experiments.friction.low_current import (
+    require_calibrated_gain,
+    require_linear_at_low_current,
+)
 from rigtool.experiments.friction.procedure_analysis import (
     _fit_sweep,
     _note_lacking,
@@ -41,6 +45,8 @@ from rigtool.experiments.friction.results import Findings, Scale
 from rigtool.experiments.friction.stribeck_fit import fit_directions
 from rigtool.experiments.friction.sweep import SPEED_BINS, torque_speed_curve
 from rigtool.quantity import Quantity
+from rigtool.recipe import load_recipe
+from tests.experiments.virtual_runs import RECIPE
 
 # -- holds
 
@@ -226,6 +232,8 @@ def test_holds_that_shake_are_left_out_by_what_shakes_them():
         speed = note.split("left out at ")[1].split(" rad/s")[0]
         assert starts[speed] in note
         assert f"more than {12 if speed == '10' else 25} %" in note
+    _, _, plain = fit_holds([whole])  # without an encoder that is known, it is the shaft
+    assert sorted("starts and stops" in note for note in plain) == [False, True]
     with pytest.raises(InsufficientDataError, match=r"left out at 1.*do not separate"):
         fit_holds([whole[np.array([0, 2, 4])]])
 
@@ -492,3 +500,42 @@ def test_two_samples_in_a_range_of_speed_are_the_fewest():
         found = torque_speed_curve(time=time, setpoint=angle, torque=5 * speed, inertia=0.0)
         assert len(found.speed) >= count - 5
         assert_allclose(found.torque, 5 * found.speed, rtol=0.02)
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-3])
+@pytest.mark.parametrize("passes", [True, False])
+def test_deviations_beyond_noise_are_a_25th_of_the_current_that_friction_takes(noise, passes):
+    """Least squares through means; the chi-square of scipy that noise leaves in one of 100."""
+    rng, bins, size = np.random.default_rng(8), 20, 60
+    level = np.repeat(np.linspace(0.04, 0.06, bins), size)
+    scatter = noise * np.tile(rng.permutation(np.linspace(-1, 1, size)), bins)
+    current = 2e-3 + 1.1 * level + scatter + 2e-3 * np.repeat(rng.standard_normal(bins), size)
+    ones = np.ones_like(level)
+    design = np.column_stack([ones, level])
+    line = design @ np.linalg.lstsq(design, current, rcond=None)[0]
+    off = (current - line).reshape(bins, size).mean(axis=1)
+    by_noise = np.mean((current - line) ** 2) * chi2.isf(0.01, bins - 2)
+    rms = math.sqrt((size * off @ off - by_noise) / (bins * size))
+    # few samples at one higher set point, which is no part of the range
+    signals = {
+        "current_setpoint": np.append(level, np.full(10, 0.07)),
+        "current": np.append(current, np.full(10, 9.0)),
+    }
+    friction = rms / 0.04 * (1.001 if passes else 0.999)
+    if passes:
+        require_linear_at_low_current(**signals, friction_current=friction)
+        return
+    with pytest.raises(InsufficientDataError, match="not linear at low current"):
+        require_linear_at_low_current(**signals, friction_current=friction)
+
+
+def test_a_profile_changes_speed_at_one_rate_and_holds_whole_turns():
+    settings = load_recipe(RECIPE, ())[0].stribeck
+    holds = [(5.0, 3), (20.0, 2), (-20.0, 2)]
+    found = procedure._profile(settings, holds)
+    times, speeds = np.array(found.times), np.array(found.speeds)
+    rate = settings.speed_max / procedure.RUN_UP
+    lasting = [procedure.SETTLE_TIME + n * 2 * np.pi / abs(v) for v, n in holds]
+    assert_allclose(speeds, [0, 5, 5, 20, 20, -20, -20, 0])
+    assert_allclose(np.diff(times)[1::2], lasting)
+    assert_allclose(np.diff(times)[::2], np.array([5, 15, 40, 20]) / rate)

@@ -1,6 +1,7 @@
 """Results and tables of friction, line by line of their budgets."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,9 +20,11 @@ from rigtool.experiments.friction.results import (
     add_friction,
     add_radial_breakaway,
     add_static_friction,
+    breakaway_table,
     holds_table,
     model_table,
     ramp_table,
+    torque_speed_table,
 )
 from rigtool.experiments.friction.stribeck_fit import DirectionFit
 from rigtool.experiments.friction.sweep import TorqueSpeed
@@ -180,6 +183,11 @@ def test_tables_are_in_the_order_of_speed():
         ("revolutions", [4, 6, 8]),
     ):
         np.testing.assert_allclose(table[name], values)
+    swept = TorqueSpeed(*np.arange(15.0).reshape(5, 3))
+    table = torque_speed_table(swept, "feed-forward off")
+    assert table.description == "Torque against speed, feed-forward off"
+    for name in ("speed", "torque", "revolutions", "u", "dof"):
+        np.testing.assert_array_equal(table[name], getattr(swept, name), err_msg=name)
     curve = model_table({1: fit(2e-3, lowest=0.1), -1: fit(1e-3, None, lowest=0.3)})
     assert len(curve["speed"]) == 2 * MODEL_POINTS
     assert (np.diff(curve["speed"]) > 0).all()
@@ -213,3 +221,17 @@ def test_static_friction_of_one_direction_is_over_what_that_direction_has_more()
     assert both.value == pytest.approx(negative.value / 0.75, rel=1e-12)
     expected = math.hypot(negative.u / 0.75, both.value / 0.75 * 0.02)
     assert both.u == pytest.approx(expected, rel=1e-9)
+
+
+def test_breakaway_is_stored_by_direction_and_load():
+    places, *columns = np.arange(15.0).reshape(5, 3)
+    plain, loaded = (SimpleNamespace(positive=a, negative=b) for a, b in (columns[:2], columns[2:]))
+    both = breakaway_table(places, plain, loaded)
+    assert both.signal == "positive"
+    names = ("positive", "negative", "loaded_positive", "loaded_negative")
+    for name, values in zip(names, columns, strict=True):
+        np.testing.assert_array_equal(both[name], values, err_msg=name)
+    np.testing.assert_array_equal(both["position"], places)
+    alone = breakaway_table(places, None, loaded)
+    assert (alone.signal, set(alone.columns)) == ("loaded_positive", {"position", *names[2:]})
+    assert set(breakaway_table(places, plain, None).columns) == {"position", *names[:2]}

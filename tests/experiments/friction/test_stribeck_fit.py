@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from scipy import stats
 from scipy.optimize import curve_fit
 
 from rigtool.errors import InsufficientDataError
@@ -469,3 +470,33 @@ def test_count_is_the_encoders():
     signals = Motor(noise=0.0).hold([3.0])
     steps = signals["angle"] / COUNT
     assert_allclose(steps, np.round(steps), atol=1e-6)
+
+
+def test_few_speeds_hold_what_a_stribeck_effect_that_they_do_not_resolve_may_change():
+    """Five speeds leave no residuals to choose a curve by: it is possible, and in u."""
+    rng = np.random.default_rng(12)
+    ratios = []
+    for _ in range(60):
+        speed = np.sort(np.exp(rng.uniform(np.log(0.4), np.log(30), 5)))
+        velocity, coulomb, viscous = rng.uniform(0.3, 1.5), 2e-3, rng.uniform(2e-5, 8e-5)
+        torque = coulomb * (1 + np.exp(-((speed / velocity) ** 2))) + viscous * speed
+        torque += 1e-5 * rng.standard_normal(speed.size)
+        try:
+            fit = fit_direction(speed, torque, np.full(speed.size, 1e-5))
+        except InsufficientDataError:  # all speeds fall
+            continue
+        limit = stats.t.ppf(0.975, fit.dof)
+        for (value, u), true in ((fit.coulomb, coulomb), (fit.viscous, viscous)):
+            ratios.append(abs(value - true) / u / limit)
+    assert len(ratios) > 80
+    assert np.mean(np.array(ratios) < 1) > 0.9
+    assert max(ratios) < 5 / 1.96  # without these curves, up to 8 times as far off
+
+
+def test_friction_that_falls_with_the_speed_shows_no_coulomb_and_viscous_friction():
+    speed = np.array([0.5, 0.7, 0.9, 1.2])
+    falling = 2e-3 + 2e-3 * np.exp(-((speed / 1.5) ** 2)) + 4e-5 * speed
+    with pytest.raises(InsufficientDataError, match=r"falls from 0\.5 to 1\.2 rad/s.*hold higher"):
+        fit_direction(speed, falling, np.full(4, 1e-5))
+    level = fit_direction(speed, np.full(4, 2e-3) + 1e-6 * speed, np.full(4, 1e-5))
+    assert level.viscous[0] == pytest.approx(1e-6, abs=2 * level.viscous[1])

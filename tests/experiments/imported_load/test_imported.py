@@ -31,8 +31,8 @@ def learned(paces=3, strokes=1):
     model = SimpleNamespace(
         scales=SimpleNamespace(low=-2.0, high=3.0, standstill=0.25),
         sides=(
-            SimpleNamespace(factors=np.array([1.0, 1.3]), between=1.6),
-            SimpleNamespace(factors=np.ones(2), between=1.0),
+            SimpleNamespace(factors=np.array([1.0, 1.3]), at_other_speeds=lambda share: 4 * share),
+            SimpleNamespace(factors=np.ones(2), at_other_speeds=lambda share: 1 + 2.4 * share),
         ),
         strokes=np.zeros(strokes),
     )
@@ -72,7 +72,7 @@ def test_notes_count_levels_and_speeds():
     assert len(_notes(learned(1, strokes=2), 12)) == 3
     two = _notes(learned(2), 12)[-1]
     assert two.startswith("recorded at two speeds")
-    assert "up to 1.6 times" in two
+    assert "up to 1.6 times" in two  # a quarter of the change, midway
 
 
 @pytest.mark.parametrize(("linear", "turn"), [(1.0, 0.0), (0.0, 2 * np.pi)])
@@ -93,3 +93,14 @@ def test_a_linear_axis_has_no_turn(monkeypatch, linear, turn):
     with pytest.raises(LearnedError) as found:
         imported.analyse_imported([])
     assert found.value.args == (turn, None)
+
+
+def test_intervals_hold_errors_of_either_sign():
+    off = Validation(
+        torque=np.ones(4),
+        error=np.array([-3.0, -1.9, 1.9, 3.0]),
+        u=np.ones(4),
+        level=np.zeros(4, dtype=int),
+        against=np.array([True, False, True, False]),
+    )
+    assert _level_table(off)["coverage_95"].tolist() == [0.5]

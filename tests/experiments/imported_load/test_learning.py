@@ -131,7 +131,7 @@ def test_a_model_holds_beyond_its_levels_but_not_where_the_heaviest_drives(
     direction, driving, sign
 ):
     levels = np.sort(sign * np.array(LEVELS))
-    found = _margins([side(levels, EVEN)] * 2, direction)
+    found = _margins([side(levels, EVEN)] * 2, direction, [NARROW, 1.0])
     expected = np.full((2, 2), MARGIN)
     expected[driving, 1 if sign > 0 else 0] = NARROW
     np.testing.assert_array_equal(found, expected)
@@ -140,10 +140,12 @@ def test_a_model_holds_beyond_its_levels_but_not_where_the_heaviest_drives(
 def test_an_end_that_asked_for_a_wider_interval_holds_less_far():
     ratio = 1.96 / 1.44
     wide, less = (side(LEVELS, [part * ratio, 1, 1, 1, 1, 1]) for part in (1.01, 0.99))
-    np.testing.assert_array_equal(_margins([wide, wide], 1)[0], [NARROW, MARGIN])
-    np.testing.assert_array_equal(_margins([less, less], 1)[0], [MARGIN, MARGIN])
+    np.testing.assert_array_equal(_margins([wide, wide], 1, [1.0, 1.0])[0], [NARROW, MARGIN])
+    np.testing.assert_array_equal(_margins([less, less], 1, [1.0, 1.0])[0], [MARGIN, MARGIN])
     few = side([0.0, 1.0, 2.0, 3.0], [1.0] * 4)
-    np.testing.assert_array_equal(_margins([few, few], 1), np.full((2, 2), NARROW))
+    np.testing.assert_array_equal(_margins([few, few], 1, [1.0, 1.0]), np.full((2, 2), NARROW))
+    scatter = _margins([few, few], 1, [0.1, 1.0])  # no farther than that
+    np.testing.assert_array_equal(scatter, [[0.1, 0.1], [NARROW, NARROW]])
 
 
 def test_dead_bands_hold_the_torque_at_each_level():

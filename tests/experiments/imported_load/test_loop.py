@@ -8,14 +8,16 @@ from scipy import stats
 from rigtool.experiments.imported_load.loop import learn_loop
 
 
-def test_mean_and_deviation_are_those_of_the_recordings():
+def test_mean_is_by_the_sensor_and_deviation_from_it():
+    """What leaving out loads changes in all recordings is no part of the mean."""
     place = np.tile(np.linspace(0.001, 0.999, 2000), 6)
     rising = np.repeat([True, False] * 3, 2000)
     recording = np.repeat([0, 1, 2], 4000)
     half = np.array([1.0, 2.0, 4.5])[recording]
-    found = learn_loop(place, rising, np.where(rising, half, -half), recording)
-    assert_allclose(found.mean, np.full(found.mean.shape, 5.0), rtol=1e-12)
-    assert_allclose(found.offset, np.std([2.0, 4.0, 9.0], ddof=1), rtol=1e-12)
+    sensor = np.where(rising, 2.5, -0.5) + recording
+    found = learn_loop(place, rising, np.where(rising, half, -half), sensor, recording)
+    assert_allclose(found.mean, np.full(found.mean.shape, 3.0), rtol=1e-12)
+    assert_allclose(found.offset, np.sqrt((1 + 1 + 36) / 2), rtol=1e-12)
     assert_allclose(found.shape, 0, atol=1e-12)
     assert found.recordings == 3
 
@@ -30,22 +32,23 @@ def recordings(count, seed):
     number = np.repeat(np.arange(count), 160)
     cell = np.floor(place * 20).astype(int)
     torque = np.where(rising, 0.3, -0.7) * loops[number, cell] + 5 * cell
+    sensor = np.where(rising, 3 + cell, 0.0)
     torque[(number == 1) & (cell == 4) & rising] = np.nan
-    return place, rising, torque, number, loops
+    return place, rising, torque, sensor, number, loops
 
 
 def test_parts_of_a_recording_are_those_of_its_offset_and_shape():
     *rows, loops = recordings(6, 1)
     found = learn_loop(*rows)
     loops[1, 4] = np.nan
-    apart = loops - np.nanmean(loops, axis=0)
+    apart = loops - 3 - np.arange(20)
     offsets = np.array([np.mean(row[np.isfinite(row)]) for row in apart])
     assert_allclose(found.offset, np.sqrt(np.sum(offsets**2) / 5), rtol=1e-9)
     shapes = apart - offsets[:, None]
     squares = np.nansum(shapes**2, axis=0) / np.where(np.arange(20) == 4, 4, 5)
     assert_allclose(found.shape, np.sqrt(squares), rtol=1e-9)
     for number in (0, 1, 5):
-        own = rows[3] == number
+        own = rows[4] == number
         offset, shape = found.parts(*(each[own] for each in rows[:3]))
         assert_allclose(offset, offsets[number] / found.offset, rtol=1e-9)
         ratio = shapes[number] / found.shape
@@ -53,7 +56,7 @@ def test_parts_of_a_recording_are_those_of_its_offset_and_shape():
 
 
 def test_limits_are_those_of_student_and_fall_with_the_runs():
-    found = learn_loop(*recordings(6, 2)[:4])
+    found = learn_loop(*recordings(6, 2)[:5])
     assert_allclose(found.limit(0.95), stats.t.interval(0.95, 5)[1], rtol=1e-9)
     # one run deviates as a recording does, and the mean of those learned with it
     assert_allclose(found.limit_of_mean(0.99, 1) / found.limit(0.99), np.sqrt(7 / 6), rtol=1e-9)
@@ -66,7 +69,7 @@ def test_limits_are_those_of_student_and_fall_with_the_runs():
 def test_a_loop_in_few_cells_is_not_compared(cells):
     *rows, _ = recordings(4, 3)
     found = learn_loop(*rows)
-    some = (rows[3] == 0) & (rows[0] * 20 < cells)
+    some = (rows[4] == 0) & (rows[0] * 20 < cells)
     parts = found.parts(*(each[some] for each in rows[:3]))
     assert np.isfinite(parts).all() == (cells == 3)
     once = some & (np.arange(len(some)) % 2 == 0)  # two rows in each cell

@@ -18,13 +18,13 @@ from rigtool.experiments.force.imported import (
     of_this_zero,
 )
 from rigtool.experiments.force_filter.motion_states import State
-from rigtool.experiments.imported_load import side as one_side
 from rigtool.experiments.imported_load.basis import (
     FUNCTION_GROUPS,
     find_scales,
     motion_functions,
     path_of,
     size_of,
+    splines,
 )
 from rigtool.experiments.imported_load.learning import (
     learn_load_model,
@@ -32,7 +32,13 @@ from rigtool.experiments.imported_load.learning import (
     resisted_direction,
 )
 from rigtool.experiments.imported_load.loop import REFUSED
-from rigtool.experiments.imported_load.model import FLAT_SLOPE, HIGHEST_POWER, SIDE_SIGNS, Side
+from rigtool.experiments.imported_load.model import (
+    FLAT_SLOPE,
+    HIGHEST_POWER,
+    SIDE_SIGNS,
+    Paces,
+    Side,
+)
 from rigtool.experiments.imported_load.region import of_known_strokes
 from rigtool.experiments.imported_load.side import Rows, prior_of
 from tests.experiments.imported_load.loaded_drive import (
@@ -112,8 +118,45 @@ def test_between_two_speeds_u_is_widened_by_what_leaving_out_either_shows(monkey
         return np.mean(np.concatenate(off) < 1.96)
 
     assert coverage() > 0.95
-    monkeypatch.setattr(one_side, "BETWEEN_TWO", 0.0)
+    monkeypatch.setattr(Paces, "change", lambda self, pace: 0.0)
     assert coverage() < 0.85
+
+
+@pytest.mark.parametrize(
+    ("pace", "two", "three"),
+    [(20.5, 0, 0), (30, 0.25, 0), (25, 3 / 16, 0), (50, 0.5, 1), (15, 0.25, 0.25), (60, 1, 2)],
+)
+def test_what_changes_by_speed_is_a_wiener_process(pace, two, three):
+    """A bridge has the variance t (1 - t) of its change, a way beyond one as long as the way."""
+    for speeds, expected in (([20.0, 40.0], two), ([20.0, 35.0, 45.0], None)):
+        found = Paces(np.array(speeds), *np.zeros((2, len(speeds)))).change(pace)
+        if expected is None:  # from the last two: 10 rad/s above, from the first two: 15 below
+            expected = max(0.0, (pace - 45) / 10, (20 - pace) / 15) if abs(pace - 20) > 4.5 else 0
+        assert found == pytest.approx(expected)
+    assert Paces(*np.ones((3, 1))).change(pace) == 0
+
+
+def test_loads_between_those_at_lower_and_at_higher_speeds_were_learned():
+    paces = Paces(np.array([10.0, 20.0, 40.0]), np.array([1.0, 3, 2]), np.array([2.0, 4, 8]))
+    assert paces.between(20) == pytest.approx((1 + 1 / 3, 4))  # on the line from 1 at 10 to 2 at 40
+    assert paces.between(30) == pytest.approx((1 + 2 / 3, 6))
+    assert paces.between(5) == paces.between(10.9) == pytest.approx((1, 2))
+    assert paces.between(90) == pytest.approx((2, 8))
+    assert Paces(*np.ones((3, 1))).between(30) == (-math.inf, math.inf)
+
+
+def test_loads_at_speeds_where_they_were_not_learned_have_no_value():
+    """Light loads slow and heavy ones fast: nothing tells friction by load from that by speed."""
+    loads, speeds = (0.02, 0.04, 0.06, 0.08), (0.1, 0.15, 0.2, 0.25)
+    seen = [
+        observe(load, f, seed=n, seconds=25)
+        for n, (load, f) in enumerate(zip(loads, speeds, strict=True))
+    ]
+    model = learn_load_model(seen).model
+    heavy, light = observe(0.08, 0.1, seed=31), observe(0.02, 0.25, seed=32)
+    assert model.read(observe(0.04, 0.15, seed=33)).inside.mean() > 0.5
+    assert not model.read(heavy).inside.any()
+    assert not model.read(light).inside.any()
 
 
 def test_friction_by_load_is_found(learned):
@@ -496,6 +539,38 @@ def test_every_group_has_the_columns_it_says():
         assert set(functions) == set(FUNCTION_GROUPS)
         for name, columns in functions.items():
             assert columns.shape == (len(item.path.time), size_of(name)), name
+
+
+def test_functions_of_a_motion_are_their_formulas_behind_the_low_pass():
+    """Of one that goes in one direction and has for long: nothing of the other one."""
+    item = observe(0.05, 0.3)
+    path, scales = item.path, find_scales([item.path], [item.reference], turn=5.0)
+    found = motion_functions(path, scales, 1, alone=True)
+    speed = np.abs(path.fine_speed) / scales.speed
+    slow = np.log(np.hypot(path.fine_speed, scales.standstill) / scales.speed)
+    waves = [
+        wave(2 * np.pi * order * path.fine_position / 5.0)
+        for order in np.arange(1, 9) / 2
+        for wave in (np.cos, np.sin)
+    ]
+    change = np.gradient(path.fine_speed, 1 / path.rate) / scales.acceleration
+    for name, values in (
+        ("ripple", waves),
+        ("inertia", [change]),
+        ("load_speed", [speed, slow]),
+    ):
+        np.testing.assert_allclose(found[name].T, path.thin(np.array(values)), atol=1e-9)
+    place = (path.fine_position - scales.low) / (scales.high - scales.low)
+    along = splines(place, 5).T
+    for name, factor in (("viscous", speed), ("stribeck", slow), ("load_squared", 1.0)):
+        np.testing.assert_allclose(found[name].T, path.thin(along * factor), atol=1e-9)
+    for name in ("memory", "load_memory", "reversal", "load_reversal"):
+        assert not found[name].any()
+    # both directions share what the low-pass spreads over a reversal
+    both = [motion_functions(path, scales, sign) for sign in (1, -1)]
+    np.testing.assert_allclose(both[0]["ripple"] + both[1]["ripple"], found["ripple"], atol=1e-9)
+    for one, other in (both, both[::-1]):
+        np.testing.assert_allclose(one["reversal"], other["load_squared"], atol=1e-9)
 
 
 def test_covariances_are_covariances(learned):

@@ -66,12 +66,17 @@ def test_a_transient_is_no_noise_of_the_whole_recording():
 def test_the_lag_of_a_low_pass_is_found_by_its_noise(pole_hz):
     frequency = 5.0 * 2.0 ** (np.arange(8) + 1.5)
     power = 1 / (1 + (frequency / pole_hz) ** 2)
-    learned = learned_noise([EffortNoise(np.full(8, c), 0.0) for c in (1.0, 1.3)])
-    _, lag = learned.beyond(EffortNoise(power, 0.0), 5.0)
+    learned = learned_noise([EffortNoise(np.full(8, c), 0.0, RATE) for c in (1.0, 1.3)])
+    _, lag = learned.beyond(EffortNoise(power, 0.0, RATE), 5.0)
     assert lag == pytest.approx(1 / (2 * np.pi * pole_hz), rel=0.05)
-    assert learned.beyond(EffortNoise(np.full(8, 0.01), 0.0), 5.0) == (0, 0)  # less noise alone
-    filtered = learned_noise([EffortNoise(power, 0.0)])
-    assert filtered.beyond(EffortNoise(np.ones(8), 0.0), 5.0)[1] == pytest.approx(lag, rel=0.3)
+    assert learned.beyond(EffortNoise(np.full(8, 0.01), 0.0, RATE), 5.0) == (
+        0,
+        0,
+    )  # less noise alone
+    filtered = learned_noise([EffortNoise(power, 0.0, RATE)])
+    assert filtered.beyond(EffortNoise(np.ones(8), 0.0, RATE), 5.0)[1] == pytest.approx(
+        lag, rel=0.3
+    )
 
 
 def test_a_pole_makes_all_ratios_tell_one_lag():
@@ -95,3 +100,20 @@ def test_rounding_counts_where_noise_does_not_spread_it():
             found = noise_of(step * steps, 1000.0, 5.0)
             assert found.rounding / step**2 == pytest.approx(left / 12, abs=0.01)
     assert noise_of(ramp, 1000.0, 5.0).rounding < 1e-6
+
+
+@pytest.mark.parametrize("fewer", [5, 20, 50])
+def test_noise_that_fewer_samples_fold_into_the_band_is_counted(fewer):
+    """Picked samples have all noise below half their rate: of white noise, as much as before."""
+    random = np.random.default_rng(7)
+    noise = random.normal(0, 1.0, 400_000)
+    rate = 1000.0
+    learned = learned_noise([noise_of(noise, rate, 5.0)])
+    picked, filtered = noise[::fewer], noise.reshape(-1, fewer).mean(axis=1)
+    variance = np.var(lowpass(rate / fewer, picked, 5.0)) - np.var(lowpass(rate, noise, 5.0))
+    found, _ = learned.beyond(noise_of(picked, rate / fewer, 5.0), 5.0)
+    # the octaves that are looked at end before half the rate does
+    assert 0.6 * variance < found < 1.1 * variance
+    if fewer < 50:  # where nothing above the band is seen, folding cannot be told from a filter
+        found, _ = learned.beyond(noise_of(filtered, rate / fewer, 5.0), 5.0)
+        assert found < 0.3 * variance

@@ -7,6 +7,7 @@ from scipy.stats import binned_statistic
 from rigtool.experiments.imported_load.region import (
     STROKE_CELLS,
     beside_known,
+    beside_known_strokes,
     cell_means,
     learn_region,
     of_known_strokes,
@@ -20,7 +21,7 @@ DIRECTION = np.repeat([1.0, -1.0, 0.0, 1.0, -1.0, 1.0, -1.0, 1.0], 10)
 
 @pytest.mark.parametrize("inside", [4, 5])
 def test_a_stroke_counts_where_half_of_its_motion_is_known(inside):
-    moving = np.ones(80, dtype=bool)
+    moving = DIRECTION != 0
     known = np.zeros(80, dtype=bool)
     known[10 : 10 + inside] = known[30:39] = True
     found = of_known_strokes(known, moving, DIRECTION)
@@ -31,12 +32,37 @@ def test_a_stroke_counts_where_half_of_its_motion_is_known(inside):
     assert not of_known_strokes(known, moving, DIRECTION, 1.0)[10:20].any()
 
 
-def test_strokes_beside_a_known_one_are_two_on_either_side():
-    """A standstill between two strokes counts as one."""
+def test_a_standstill_does_not_end_a_stroke():
+    """The first 5 of 40 rows of a stroke say nothing of their own, nor do they beside others."""
+    direction = np.repeat([-1.0, 1, 0, 1, -1], [40, 5, 3, 35, 40])
+    known, moving = np.zeros((2, 123), dtype=bool)
+    moving[:], known[40:45] = direction != 0, True
+    assert not of_known_strokes(known, moving, direction).any()
+    assert not beside_known_strokes(known, moving & (direction > 0), direction).any()
+    known[40:65] = True
+    assert of_known_strokes(known, moving, direction).sum() == 25
+    assert beside_known_strokes(known, moving & (direction > 0), direction).all()
+    assert beside_known_strokes(known, np.zeros(123, dtype=bool), direction).all()
+
+
+def test_part_of_a_stroke_at_either_end_counts_with_the_nearest():
+    direction = np.repeat([1.0, -1, 1, -1], [10, 40, 40, 10])
+    known, moving = np.zeros(100, dtype=bool), np.ones(100, dtype=bool)
+    known[:10] = known[90:] = True
+    assert not of_known_strokes(known, moving, direction).any()
+    known[60:90] = True
+    assert np.flatnonzero(of_known_strokes(known, moving, direction))[[0, 9, 10]].tolist() == [
+        *(0, 9, 60)
+    ]
+    assert not of_known_strokes(known, moving, direction)[90:].any()
+
+
+def test_strokes_beside_a_known_one_are_next_to_it():
+    """A standstill belongs to the stroke before."""
     known = np.zeros(80, dtype=bool)
     known[35] = True
     found = beside_known(known, DIRECTION).reshape(8, 10)
-    assert found.all(axis=1).tolist() == [False, True, True, True, True, True, False, False]
+    assert found.all(axis=1).tolist() == [False, True, True, True, True, False, False, False]
     assert found.any(axis=1).tolist() == found.all(axis=1).tolist()
 
 

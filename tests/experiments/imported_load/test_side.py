@@ -65,3 +65,9 @@ def test_a_level_asks_for_the_interval_that_holds_the_rows_left_out():
     _, factors = Fit._factors(made, [by_load, by_turn])
     expected = np.array([1.0, 1.0, 2.0, 3.0, 4.0, 4.0]) * wider * quantile
     np.testing.assert_allclose(factors, expected, rtol=0.02)
+    # a level that no other way leaves out asks for what leaving it out itself shows
+    made.folds = [level, np.where(level % 3 > 0, level, -1)]
+    by_turn[level % 3 == 0] = np.nan
+    _, factors = Fit._factors(made, [by_load, by_turn])
+    expected = np.array([1.0, 1.0, 2.0, 3.0, 4.0, 4.0]) * wider * quantile
+    np.testing.assert_allclose(factors, expected, rtol=0.02)

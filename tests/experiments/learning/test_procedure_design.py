@@ -136,3 +136,42 @@ def test_a_controller_that_is_unstable_with_the_measured_plant_is_refused(plant)
     override = "rig.controller.integrator_hz=200"
     with pytest.raises(InsufficientDataError, match=r"unstable with the measured inertia 1\.56"):
         design_filters(recipe(override), plant)
+
+
+def test_stored_functions_of_the_loop_are_those_of_its_filters():
+    found = design_filters(recipe())
+    tables, frequency = found.tables(), found.criterion.frequency
+    transfer, criterion = tables["transfer"], tables["convergence"]
+    nyquist = 0.5 / recipe().rig.sample_time
+    for table in (transfer, criterion):
+        np.testing.assert_array_equal(table["frequency"], frequency)
+    assert (frequency[0], frequency[-1]) == (0, pytest.approx(nyquist))
+    learning = found.learning
+    loop = learning.loop_response(frequency)
+    for name, response in (
+        ("t", loop),
+        ("l", learning.inverse.response(frequency, shifted=False)),
+    ):
+        np.testing.assert_allclose(transfer[f"{name}_magnitude"], np.abs(response))
+        turned = np.exp(1j * transfer[f"{name}_phase"])
+        np.testing.assert_allclose(turned, np.exp(1j * np.angle(response)), atol=1e-9)
+    shifted = learning.inverse.response(frequency)
+    advance = found.results()["zpetc_phase_advance"].value
+    delay = np.exp(2j * np.pi * frequency * advance * recipe().rig.sample_time)
+    plain = transfer["l_magnitude"] * np.exp(1j * transfer["l_phase"])
+    np.testing.assert_allclose(shifted, plain * delay, atol=1e-9 * np.abs(plain).max())
+    turned = np.exp(1j * (transfer["l_shifted_phase"] - transfer["l_phase"]))
+    np.testing.assert_allclose(turned, delay, atol=1e-6)
+    np.testing.assert_array_equal(criterion["magnitude"], found.criterion.magnitude)
+    worst = int(np.argmax(found.criterion.magnitude))
+    results = found.results()
+    assert results["convergence_peak"].value == found.criterion.magnitude[worst]
+    assert results["convergence_frequency"].value == frequency[worst]
+
+
+def test_the_bound_has_its_own_peak(plant):
+    found = design_filters(recipe(), plant)
+    criterion, results = found.criterion, found.results()
+    worst = int(np.nanargmax(criterion.bound))
+    assert results["convergence_bound"].value == criterion.bound[worst]
+    assert results["convergence_bound_frequency"].value == criterion.frequency[worst]

@@ -99,7 +99,11 @@ def test_each_line_has_the_scatter_of_experiments_and_the_constant():
         assert table["radius"][k] == pytest.approx(np.hypot(circle, 2 * relative * size), rel=1e-6)
         model = found.fit.model.response(FREQUENCY[k : k + 1], TIME)[0]
         assert table["distance"][k] == pytest.approx(abs(mean / model - 1), rel=1e-9)
+        assert np.exp(1j * table["phase"][k]) == pytest.approx(mean / size, rel=1e-9)
     assert table["used"].tolist() == USED.astype(int).tolist()
+    np.testing.assert_array_equal(table["frequency"], FREQUENCY)
+    np.testing.assert_array_equal(table["u_quantisation"], found.response.quantisation)
+    np.testing.assert_array_equal(table["coherence"], found.response.coherence)
 
 
 def test_the_fitted_curve_has_the_scatter_of_fits_without_an_experiment():
@@ -113,6 +117,8 @@ def test_the_fitted_curve_has_the_scatter_of_fits_without_an_experiment():
         expected = law(size[k], (scatter[k], COUNT - 1), (relative * size[k], 6))
         assert table["u"][k] == pytest.approx(expected.u, rel=1e-9)
         assert table["dof"][k] == pytest.approx(expected.dof, rel=1e-9)
+    turned = np.exp(1j * table["phase"])
+    np.testing.assert_allclose(turned * table["magnitude"], found.fit.response(frequency))
     np.testing.assert_allclose(table["mass_line"] * (2 * np.pi * frequency) ** 2, 1 / 1.5e-5)
     assert frequency[0] == pytest.approx(1.0)
     assert frequency[-1] == pytest.approx(0.999 * 0.5 / TIME)

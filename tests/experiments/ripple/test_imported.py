@@ -11,12 +11,16 @@ from rigtool.experiments.ripple import imported
 from rigtool.experiments.ripple.imported import (
     _notes,
     _pairs,
+    _reduction_table,
     _reduction_text,
     _results,
+    _spectrum_table,
     _turning,
     _unpaired,
+    _waveform_table,
 )
 from rigtool.experiments.ripple.imported_groups import RepeatedRuns
+from rigtool.experiments.ripple.imported_turns import reduction
 from rigtool.experiments.ripple.orders import NO_ATTENUATION, remove_offset, spectrum
 from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
 from rigtool.experiments.running.options import CommonOptions
@@ -391,3 +395,47 @@ def test_notes_count_turns_and_name_what_is_not_separated():
     shown = ", ".join(f"{order} from {order + 39}" for order in range(2, 8))
     assert f"not separated: {shown} and 2 more;" in notes[6]
     assert notes[7] == "the results are of group 1"
+
+
+def test_tables_hold_the_groups_their_orders_and_means():
+    made = [group(2.0, compensation=0.0), group(3.0, turns=5, compensation=1.0, leak=(4,))]
+    table, waves = _spectrum_table(made, "N m"), _waveform_table(made, "N m")
+    for own in (table, waves):
+        assert own["group"].tolist() == [0, 1]
+        assert own["speed"].tolist() == [2.0, 3.0]
+        assert own["turns"].tolist() == [3.0, 5.0]
+        assert own["compensation"].tolist() == [0.0, 1.0]
+    np.testing.assert_array_equal(table["order"], np.arange(1, 21))
+    for n, one in enumerate(made):
+        torque, deviation = one.spectra["torque"], one.spectra["deviation"]
+        for name, values in (
+            ("amplitude", torque.amplitude),
+            ("phase", torque.phase),
+            ("noise_floor", torque.noise_floor),
+            ("u", one.u),
+            ("dof", one.dof),
+            ("alias", one.alias),
+        ):
+            np.testing.assert_array_equal(table[name][n], values, err_msg=name)
+        for name, values in (
+            ("deviation", deviation.amplitude),
+            ("deviation_phase", deviation.phase),
+            ("deviation_noise_floor", deviation.noise_floor),
+        ):
+            # a speed that was only stated shows no motion
+            expected = np.full(20, np.nan) if n else values
+            np.testing.assert_array_equal(table[name][n], expected, err_msg=name)
+        np.testing.assert_allclose(waves["ripple"][n], one.torque.mean(axis=0))
+        mean = np.full(500, np.nan) if n else one.deviation.mean(axis=0)
+        np.testing.assert_allclose(waves["deviation"][n], mean)
+    np.testing.assert_allclose(waves["position"], 2 * np.pi * (np.arange(500) + 0.5) / 500)
+    assert table.columns["deviation"].unit == waves.columns["deviation"].unit == "rad"
+    low, high = made
+    found = _reduction_table([(low, high, "compensation")], 20)
+    assert found["pair"].tolist() == [0]
+    np.testing.assert_array_equal(found["order"], np.arange(1, 21))
+    for name, quantity in (("reduction", "deviation"), ("torque_reduction", "torque")):
+        values, u = reduction(low.spectra[quantity], high.spectra[quantity])
+        np.testing.assert_array_equal(found[name][0], values)
+        np.testing.assert_array_equal(found[f"{name}_u"][0], u)
+    assert found["torque_reduction"][0][1] == pytest.approx(0.8, abs=0.01)

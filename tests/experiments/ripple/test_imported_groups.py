@@ -131,3 +131,13 @@ def test_a_turn_has_as_many_cells_as_samples_fill(monkeypatch):
     angles["middle"] = 2 * np.pi * np.linspace(0, 3, 3 * 6006)
     assert cells_for(["middle", "dense"]) == 5 * 600
     assert HIGHEST_ORDER < 600
+
+
+@pytest.mark.parametrize(("missing", "fine"), [(2, True), (3, False)])
+def test_a_gap_of_half_a_cycle_of_the_highest_order_is_the_largest(monkeypatch, missing, fine):
+    """Of 1000 orders in 5000 cells: two and a half."""
+    turned = np.linspace(0, 3, 36000)
+    cell = np.floor(np.mod(turned, 1.0) * 5000)
+    kept = (cell < 100) | (cell >= 100 + missing)
+    monkeypatch.setattr(imported_groups, "position_of", lambda _: 2 * np.pi * turned[kept])
+    assert cells_for(["gap"]) == (5000 if fine else WAVEFORM_CELLS)

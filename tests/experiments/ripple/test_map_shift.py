@@ -1,14 +1,19 @@
 """Maps around a turn: orders by least squares, and what is turned is found."""
 
 import math
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rigtool.errors import InsufficientDataError
+from rigtool.errors import InsufficientDataError, UsageError
+from rigtool.experiments.ripple.imported_maps import compare_maps, read_maps
 from rigtool.experiments.ripple.map_shift import highest_order, map_orders, match_maps, typical
+from rigtool.experiments.ripple.orders import HIGHEST_ORDER
+from rigtool.runfile import Column, Table
 
 ORDERS = 40
 
@@ -86,3 +91,69 @@ def test_too_few_angles(angle, message):
 def test_a_constant_map():
     with pytest.raises(InsufficientDataError, match="constant"):
         match_maps(np.zeros(5, complex), np.ones(5, complex))
+
+
+def test_maps_are_stored_beside_the_one_that_is_like_all_others():
+    """Of three, one is turned and twice as large, and one is another."""
+    angle = sampled()
+    made = [
+        5 * values(angle, seed=2),
+        values(angle),
+        2 * values(angle, 0.4),
+        values(angle, 0.01),
+    ]
+    runs = [
+        SimpleNamespace(
+            path=Path(f"map {n}.h5"),
+            table=lambda *_, one=one, **__: Table(
+                ("position",),
+                {"position": Column(angle, "rad"), "torque": Column(one, "N m")},
+                "torque",
+                "",
+            ),
+        )
+        for n, one in enumerate(made)
+    ]
+    maps = read_maps(runs)
+    orders = [map_orders(angle, one, HIGHEST_ORDER) for one in made]
+    np.testing.assert_allclose(maps.means, np.mean(made, axis=1))
+    assert (maps.reference, maps.signal, maps.unit) == (typical(orders), "torque", "N m")
+    found = compare_maps(runs)
+    table, spectra = found.tables["map_comparison"], found.tables["map_spectrum"]
+    against = [match_maps(orders[maps.reference], other) for other in orders]
+    for name in ("correlation", "shift", "shift_u", "best_correlation", "scale"):
+        np.testing.assert_allclose(table[name], [getattr(one, name) for one in against], rtol=1e-9)
+    assert np.isinf(table["dof"]).all()
+    np.testing.assert_allclose(spectra["amplitude"], np.abs(orders), atol=1e-12)
+    turned = spectra["amplitude"] * np.exp(1j * spectra["phase"])
+    np.testing.assert_allclose(turned, orders, atol=1e-12)
+    np.testing.assert_array_equal(spectra["order"], 1 + np.arange(len(orders[0])))
+    assert table["map"].tolist() == spectra["map"].tolist() == [0, 1, 2, 3]
+    others = {n for n in range(4) if n != maps.reference}
+    assert set(found.results) == {f"{w}_map_{n}" for n in others for w in ("shift", "correlation")}
+    for n in others:
+        shift, alike = found.results[f"shift_map_{n}"], found.results[f"correlation_map_{n}"]
+        assert (shift.value, shift.u) == (against[n].shift, against[n].shift_u)
+        assert alike.value == against[n].correlation
+    verdicts = {note.split(":")[0]: note for note in found.notes[1:]}
+    assert len(found.notes) == 4
+    assert "another map" in verdicts["map 0"]
+    degrees = math.degrees(0.4 if maps.reference == 1 else 0.39)
+    assert "the same map, shifted by 0.06 of a turn" in verdicts["map 2"]
+    assert f"{degrees:.1f} +- " in verdicts["map 2"]
+    same = next(iter(others - {0, 2}))
+    assert "the same map (" in verdicts[f"map {same}"]
+
+
+def test_one_map_and_maps_of_other_signals_are_not_compared():
+    angle = sampled()
+
+    def run(unit):
+        columns = {"position": Column(angle, "rad"), "torque": Column(values(angle), unit)}
+        made = Table(("position",), columns, "torque", "")
+        return SimpleNamespace(path=Path("map.h5"), table=lambda *_, **__: made)
+
+    with pytest.raises(UsageError, match="one map cannot be compared"):
+        compare_maps([run("A")])
+    with pytest.raises(UsageError, match=r"torque \[A\], torque \[N m\] cannot be compared"):
+        read_maps([run("A"), run("N m")])

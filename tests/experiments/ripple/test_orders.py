@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
+from scipy.stats import sem
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.ripple.orders import (
@@ -285,6 +286,11 @@ def test_rms_is_that_of_the_jackknife_over_revolutions():
     value, u = jackknife(9, repeatable)
     assert found.repeatable == pytest.approx(value, rel=1e-12, abs=0)
     assert found.repeatable_u == pytest.approx(u, rel=1e-9, abs=0)
+    # power of each revolution beside the mean of all, and the standard error of that
+    powers = np.mean((waveforms - waveforms.mean(axis=0)) ** 2, axis=1) * 9 / 8
+    assert found.non_repeatable == pytest.approx(np.sqrt(powers.mean()), rel=1e-9)
+    expected = sem(powers) / (2 * found.non_repeatable)
+    assert found.non_repeatable_u == pytest.approx(expected, rel=1e-9)
     assert Ripple(np.ones((5, 8))).rms().non_repeatable == 0
 
 

@@ -10,6 +10,7 @@ from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.ripple import procedure as fft_ripple
 from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
 from rigtool.experiments.ripple.procedure import _shaking_note
+from rigtool.experiments.ripple.shared_scatter import shared_floor
 from rigtool.recipe import load_recipe, override_recipe
 from rigtool.runfile import open_run
 from tests.experiments.virtual_runs import (
@@ -54,13 +55,16 @@ def test_the_second_order_is_strongest_slowly_and_the_first_fast(measured):
 
 
 def test_the_spectrum_states_u_and_its_degrees_of_freedom(measured):
-    """By the scatter of the coefficients of single revolutions, each part by itself."""
+    """By the scatter of the coefficients of single revolutions, each part by itself, and of the
+    orders around."""
     tables = measured[1].tables
     spectrum, single = tables["power_spectrum"], tables["revolutions"]["torque"]
-    freedom = 2 * (len(single) - 1)
-    orders = np.fft.rfft(single, axis=1)[:, 1:13] * 2 / single.shape[1]
+    orders = np.fft.rfft(single, axis=1)[:, 1:101] * 2 / single.shape[1]
     parts = np.concatenate([orders.real, orders.imag]).reshape(2, len(single), -1)
     u = np.sqrt(parts.var(axis=1, ddof=1).mean(axis=0) / len(single))
+    freedom = 2 * (len(single) - 1)
+    floor, freedom = shared_floor(np.arange(1.0, 101), math.sqrt(2) * u, freedom)
+    u, freedom = floor[:12] / math.sqrt(2), freedom[:12]
     stated, dof = spectrum["u"][0, :12], spectrum["dof"][0, :12]
     assert (stated >= 0.95 * u).all()
     # by Welch and Satterthwaite, the rest being known: dof = freedom (stated/u)^4
@@ -146,6 +150,9 @@ def test_psd_shows_the_orders_at_their_frequencies(measured):
     frequency = psd["frequency"]
     fast = frequency[np.argmax(psd["psd"][1])]
     assert fast == pytest.approx(30 / (2 * np.pi), rel=0, abs=frequency[1])
+    with open_run(measured[0]) as stored:
+        time = next(iter(stored.recordings.values())).read("time")
+    assert frequency[-1] == pytest.approx(0.5 / np.mean(np.diff(time)), rel=1e-6)
 
 
 def test_the_stored_signals_give_the_same_again(measured, folder, kt):

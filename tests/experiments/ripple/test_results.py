@@ -12,11 +12,13 @@ from rigtool.experiments.ripple.results import (
     INERTIA_U,
     LOWEST_FOLLOWED,
     comparison_results,
+    comparison_table,
     condition_tables,
     loop_note,
     revolutions_table,
     ripple_results,
 )
+from rigtool.experiments.ripple.shared_scatter import shared_floor
 from rigtool.quantity import Quantity, combined, error_line
 from rigtool.recipe import load_recipe
 from tests.experiments.virtual_runs import RECIPE
@@ -34,7 +36,7 @@ def ripple(amplitudes, turns, noise=1e-4, seed=1):
 @pytest.fixture(scope="module")
 def stored():
     recipe, _ = load_recipe(RECIPE, ())
-    made = [ripple({2: 2e-3, 7: 0.5e-3}, 6), ripple({2: 1e-3, 7: 0.5e-3}, 11, seed=2)]
+    made = [ripple({2: 2e-3, 7: 0.5e-3}, 12), ripple({2: 1e-3, 7: 0.5e-3}, 11, seed=2)]
     speeds = [2 * math.pi * n for n in (0.5, 6.0)]
     recordings = [
         SimpleNamespace(name=str(n), condition=lambda name, v=v: v) for n, v in enumerate(speeds)
@@ -84,6 +86,21 @@ def test_orders_are_those_of_the_motor_with_a_budget_each(stored):
             assert table["dof"][row][k - 1] == pytest.approx(expected.dof, rel=1e-9)
 
 
+def test_few_turns_have_the_scatter_of_the_orders_around():
+    recipe, _ = load_recipe(RECIPE, ())
+    own, constant = ripple({2: 2e-3}, 2), Quantity(0.045, "N m/A", 1e-9, reason=None)
+    recording = SimpleNamespace(name="0", condition=lambda name: 2 * math.pi * 0.01)
+    tables = condition_tables(
+        "speed", "speed", "rad/s", [recording], [own], {"0": constant}, recipe
+    )
+    table = tables["speed_spectrum"]
+    asked = spectrum(own, HIGHEST_ORDER)
+    floor, dof = shared_floor(asked.order, asked.noise_floor, 2)
+    assert np.median(dof) > 10
+    np.testing.assert_allclose(table["noise_floor"][0] * table["loop_gain"][0], floor, rtol=1e-9)
+    np.testing.assert_allclose(table["dof"][0][10:], dof[10:], rtol=0.01)
+
+
 def test_waveforms_are_means_over_the_turns(stored):
     made, _, _, _, tables = stored
     means = [np.mean(own.waveforms, axis=0) for own in made]
@@ -131,3 +148,32 @@ def test_the_note_names_the_last_order_that_the_loop_follows(fastest):
     ):
         order += 1
     assert loop_note(recipe, fastest).endswith(f"above order {order - 1}")
+
+
+def test_tables_of_power_ups_and_of_single_turns_hold_their_numbers():
+    names = ("correlation", "shift", "best_correlation", "scale")
+    rows = [(0.9, 0.2, 0.95, 1.1), (0.4, -0.6, 0.7, 0.8)]
+    found = comparison_table(
+        [SimpleNamespace(**dict(zip(names, row, strict=True))) for row in rows]
+    )
+    assert found["power_cycle"].tolist() == [1, 2]
+    assert {found.columns[name].unit for name in names} == {"1", "rad"}
+    assert found.columns["shift"].unit == "rad"
+    np.testing.assert_array_equal([found[name] for name in names], np.transpose(rows))
+    own = ripple({2: 1e-3}, 3)
+    single = revolutions_table(own)
+    assert single["revolution"].tolist() == [0, 1, 2]
+    np.testing.assert_allclose(single["position"], ANGLE)
+    np.testing.assert_array_equal(single["torque"], own.waveforms)
+
+
+def test_floors_of_the_scatter_are_those_of_the_motor(stored):
+    made, speeds, _, loop, tables = stored
+    table = tables["speed_spectrum"]
+    for row, (own, speed) in enumerate(zip(made, speeds, strict=True)):
+        asked = spectrum(own, HIGHEST_ORDER)
+        gain = np.abs(loop.response(asked.order * speed / (2 * math.pi)))
+        np.testing.assert_array_equal(table["order"], asked.order)
+        seen = gain >= LOWEST_FOLLOWED
+        expected = np.where(seen, asked.noise_floor / gain, np.nan)
+        np.testing.assert_allclose(table["noise_floor"][row], expected, rtol=1e-9)

@@ -236,7 +236,8 @@ def test_units_of_current_and_torque_change_nothing_else(kind):
         ("model", unit),
     ):
         a, b = (np.array(getattr(fit, name)) for fit in (one, other))
-        np.testing.assert_allclose(b, factor * a, rtol=1e-4, atol=1e-7 * factor, err_msg=name)
+        within = 1e-6 * factor * np.abs(a).max()  # a search ends with that much left
+        np.testing.assert_allclose(b, factor * a, rtol=1e-4, atol=within, err_msg=name)
 
 
 def test_a_clamped_shaft_that_leaped_once_does_not_turn():

@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import norm
 
+from rigtool.experiments.torque_constant import staircase_fit
 from rigtool.experiments.torque_constant.gauge_rounding import (
     GAUGE_PHASES,
     rounding_errors,
@@ -82,3 +83,27 @@ def test_errors_are_those_of_the_mean_of_noisy_readings_that_are_rounded(ratio):
     stairs.weight = (np.arange(23) < 20) * 1.0
     assert_allclose(rounding_errors(stairs, torque[None])[:, 0, :20], found[:, :20])
     assert_allclose(rounding_errors(stairs, torque[None])[:, 0, 20:], 0)
+
+
+@pytest.mark.parametrize(("step", "coarse"), [(STEP, True), (STEP / 20, False)])
+def test_hypotheses_are_spread_over_zeros_where_the_gauge_is_coarse(monkeypatch, step, coarse):
+    """From a thousandth of the constant on: then their spread is the error of the resolution."""
+    levels, asked = 4 - np.abs(np.linspace(-4, 4, 21)), []
+    signals = Bench(force_noise=1e-4, friction=1e-3).record((20, 50), 1, levels)
+    force = np.round(signals["force"] / step) * step
+    channels = {**signals, "force": force}
+    plateaus = plateaus_of_set_point(**channels, arm_length=0.54, settle_time=0.08)
+    monkeypatch.setattr(
+        staircase_fit, "spread_over_zeros", lambda *given: asked.append(given) or 7e-3
+    )
+    found = staircase_fit.fit_staircases(plateaus)
+    if not coarse:
+        assert not asked
+        assert found.resolution_u < 1e-3
+        return
+    ((_, stairs, readings, *_),) = asked
+    assert readings.shape == (GAUGE_PHASES / 2, *stairs.torque.shape)
+    # what a gauge at other places of its zero would read: off by its steps, and zero on average
+    off = readings - readings.mean(axis=0)
+    assert np.abs(off).max() == pytest.approx(step * 0.54 / 2, rel=0.25)
+    assert np.mean(found.slope) * found.resolution_u == pytest.approx(7e-3, rel=1e-9)

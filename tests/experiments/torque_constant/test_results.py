@@ -6,7 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rigtool.experiments.torque_constant.results import FAR_OFF, _extrapolation, _notes, _results
+from rigtool.experiments.torque_constant.results import (
+    FAR_OFF,
+    _extrapolation,
+    _notes,
+    _results,
+    _tables,
+)
 from rigtool.quantity import CURRENT_READING, Quantity
 
 
@@ -127,3 +133,31 @@ def test_two_staircases_show_the_scatter_of_their_hysteresis_and_one_none(dof):
     own = _results(found, 0.0)["hysteresis_torque"]
     assert (own.u, own.dof) == ((1e-5, 1) if dof else (None, None))
     assert (own.reason is None) == (dof == 1)
+
+
+def test_tables_hold_the_constant_the_amplifier_and_the_friction():
+    rng = np.random.default_rng(1)
+    linearity = SimpleNamespace(
+        current_setpoint=rng.random(4), current=rng.random(4), deviations=rng.random(4)
+    )
+    slopes = SimpleNamespace(level=rng.random(5), rising=rng.random(5), falling=rng.random(5))
+    values = {name: rng.random(3) for name in ("temperature", "value", "u", "dof")}
+    found = _tables(calibration(linearity=linearity, slopes=slopes, **values))
+    constant, linear, friction = (
+        found[name] for name in ("torque_constant", "linearity", "hysteresis")
+    )
+    for table, name, column in (
+        (constant, "temperature", values["temperature"]),
+        (constant, "torque_constant", values["value"]),
+        (constant, "u", values["u"]),
+        (constant, "dof", values["dof"]),
+        (linear, "current_setpoint", linearity.current_setpoint),
+        (linear, "current", linearity.current),
+        (linear, "deviation", linearity.deviations),
+        (friction, "current", slopes.level),
+        (friction, "rising", slopes.rising),
+        (friction, "falling", slopes.falling),
+    ):
+        np.testing.assert_array_equal(table[name], column, err_msg=name)
+    units = [table.columns[table.signal].unit for table in (constant, linear, friction)]
+    assert units == ["N m/A", "A", "N m"]

@@ -255,3 +255,23 @@ def test_torque_that_stops_rising_at_the_top_is_refused(rise, refused):
             judged(stairs)
     else:
         judged(stairs)
+
+
+@pytest.mark.parametrize("times", [0.98, 1.02])
+def test_a_slope_at_the_top_is_uncertain_by_what_levels_scatter(times):
+    """A line through the top five of 17 levels, by four standard uncertainties."""
+    stairs = staircases(noise=0.0)
+    stairs.current = stairs.setpoint.copy()
+    scatter = 3e-3 * np.random.default_rng(7).standard_normal(stairs.torque.shape)
+    used = stairs.weight > 0
+    each = [scatter[used & np.isclose(stairs.setpoint, level)] for level in UP]
+    level_u = np.array([own.std(ddof=1) / np.sqrt(own.size) for own in each])
+    top = UP[-5:] - UP[-5:].mean()
+    slope_u = np.sqrt(np.mean(level_u**2) / np.sum(top**2))
+    rise = 0.5 - times * 4 * slope_u / CONSTANT
+    stairs.torque = CONSTANT * (stairs.current - (1 - rise) * np.maximum(stairs.current - 3.0, 0))
+    if times > 1:
+        with pytest.raises(InsufficientDataError, match=r"torque rises with current by 0\.05"):
+            judged(stairs, bend=scatter)
+    else:
+        judged(stairs, bend=scatter)

@@ -64,3 +64,14 @@ def test_heat_that_is_left_from_the_staircase_before():
         current[(time >= first) & (time < first + 1.0)] = level
     heat = heat_in_small_steps(time, current, 20.0)
     assert_allclose(found, np.interp(begin + 0.5, time, heat), rtol=0.02)
+
+
+def test_the_winding_follows_a_housing_that_leaps():
+    """T' = (T_h - T) / tau, in the middle of each plateau of 20 s; 5 s lie between them."""
+    begin = np.array([0.0, 25.0, 50.0, 75.0])[None]
+    degc = np.array([[20.0, 20.0, 24.0, 24.0]])
+    stairs = SimpleNamespace(begin=begin, end=begin + 20.0, current=0 * begin, temperature=degc)
+    _, lagging = winding(stairs, TIME_CONSTANT)
+    since = np.array([10.0, 35.0])
+    assert_allclose(lagging[0, :2], 20.0)
+    assert_allclose(lagging[0, 2:], 24.0 - 4.0 * np.exp(-since / TIME_CONSTANT), rtol=1e-9)

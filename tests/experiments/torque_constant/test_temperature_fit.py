@@ -13,7 +13,11 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.torque_constant.ripple_over_turn import first_ripple, ripple_over_turn
+from rigtool.experiments.torque_constant.ripple_over_turn import (
+    first_ripple,
+    ripple_over_turn,
+    stated_ripple,
+)
 from rigtool.experiments.torque_constant.staircase import (
     Linearity,
     amplifier_linearity,
@@ -33,6 +37,7 @@ from rigtool.experiments.torque_constant.temperature_fit import (
 )
 from rigtool.numerics.angle_effects import AngleEffects
 from rigtool.numerics.turn_mean import mean_over_turn
+from rigtool.quantity import Quantity
 from tests.experiments.torque_constant.staircases import Bench
 
 ARM = {"arm_length_u": 0.2e-3, "gauge_relative_u": 3e-4, "reference_range_degc": (20.0, 35.0)}
@@ -760,3 +765,22 @@ def test_an_error_of_the_thermometer_moves_the_constant_along_its_slope(thesis):
     assert found.coefficient.value < 0
     shift = 2.0 * abs(found.coefficient.value)
     assert_allclose(found.components["thermometer"], shift, rtol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("angles", "value", "u", "reason"),
+    [
+        (2, 0.01, None, None),
+        (3, 0.01, None, "3 rotor angles do not show all orders"),
+        (12, 0.01, None, "12 rotor angles do not show all orders"),
+        (13, 0.0049, None, "a single staircase scatters by 0.5 %, more than the ripple"),
+        (13, 0.0051, 1e-3, None),
+    ],
+)
+def test_a_ripple_is_stated_as_far_as_the_angles_show_it(angles, value, u, reason):
+    found = stated_ripple(Quantity(value, "1", 1e-3), angles, 0.005)
+    if angles < 3:
+        assert found is None
+        return
+    assert (found.value, found.u) == (value, u)
+    assert (found.reason or "").startswith(reason or "")

@@ -83,6 +83,22 @@ def test_what_the_map_leaves_is_the_difference_of_complex_orders():
     for name, orders in (("amplitude", shown), ("learned", MAP), ("remaining", left)):
         expected = [abs(orders.get(k, 0.0)) for k in (3, 7, 12, 20)]
         np.testing.assert_allclose(table[name][at], expected, atol=1e-3)
+    np.testing.assert_array_equal(table["order"], 1 + np.arange(len(table["order"])))
+    np.testing.assert_allclose(
+        table["removed"][at[:3]], [results[f"order_{k}_removed"].value for k in (3, 7, 12)]
+    )
+    np.testing.assert_allclose(
+        table["removed_u"][at[:3]], [results[f"order_{k}_removed"].u for k in (3, 7, 12)]
+    )
+    np.testing.assert_array_equal(table["noise_floor"], found.shown.noise_floor)
+    np.testing.assert_array_equal(table["remaining_noise_floor"], found.left.noise_floor)
+    ends = results["ripple_rms"], results["remaining_rms"]
+    relative = [one.u / one.value for one in ends]
+    ratio_u = (1 - results["removed"].value) * math.hypot(*relative)
+    assert results["removed"].u == pytest.approx(ratio_u, rel=1e-9)
+    match = found.match
+    assert (results["table_shift"].value, results["table_shift"].u) == (match.shift, match.shift_u)
+    assert results["table_scale"].value == match.scale
 
 
 def test_what_all_turns_left_out_is_bridged_by_what_is_left_of_the_map():

@@ -25,7 +25,7 @@ def health(**changes):
         "friction": HealthChange(0.0, 1e-5),
         "offset": HealthChange(0.0, 1e-5),
         "mismatch": 1e-3,
-        "shape": 1e-3,
+        "shape": 1.1e-3,
         "scaled": 0.9e-3,
         "shifted": 0.8e-3,
         "even": 0.9e-3,
@@ -114,6 +114,8 @@ def test_numbers_have_the_degrees_of_freedom_of_the_fewest_moves():
         assert (results[name].value, results[name].u) == pytest.approx((value, u), rel=1e-12)
         assert results[name].dof == 3
     assert results["table_fits"].value == 0
+    for name, value in (("", 1e-3), ("pattern_", 1.1e-3), ("shifted_", 0.8e-3)):
+        assert results[f"{name}mismatch_rms"].value == value
     off = [
         row.mean - scale * np.interp(position, *_line(table))
         for row, scale in zip(rows, (1, 2), strict=True)
@@ -123,7 +125,14 @@ def test_numbers_have_the_degrees_of_freedom_of_the_fewest_moves():
         health_by_speed["mismatch_rms"], [np.sqrt(np.mean(o**2)) for o in off], rtol=1e-9
     )
     np.testing.assert_allclose(health_by_speed["mean_change"], [o.mean() for o in off], rtol=1e-9)
+    scatter = [np.sqrt(row.moves.var(axis=0, ddof=1).mean()) for row in rows]
+    np.testing.assert_allclose(health_by_speed["non_repeatable_rms"], scatter)
     waves = found.tables["health_waveforms"]
+    for table_of in (health_by_speed, waves):
+        assert table_of["speed"].tolist() == [2.0, 5.0]
+    np.testing.assert_array_equal(waves["position"], position)
+    expected = [row.moves.std(axis=0, ddof=1) / math.sqrt(len(row.moves)) for row in rows]
+    np.testing.assert_allclose(waves["u"], expected)
     np.testing.assert_allclose(waves["now"] - waves["learned"], off, rtol=1e-9, atol=1e-12)
     np.testing.assert_array_equal(np.ravel(waves["dof"]), [3, 5])
 
@@ -169,3 +178,23 @@ def test_the_rule_between_entries_states_where_the_table_ends():
     assert "outside 0 to 5.49779 rad are clamped" in cut.rule()[1]
     assert cut.friction_lines()[1] == "0.002 N m * tanh(v) + 5e-05 N m s/rad * v"
     assert table.friction_lines() == []
+
+
+@pytest.mark.parametrize(
+    ("value", "u", "changed"),
+    [
+        (0.11e-3, 1e-6, True),
+        (0.09e-3, 1e-6, False),
+        (0.4e-3, 0.3e-3, False),
+        (-0.11e-3, 1e-6, True),
+    ],
+)
+def test_a_mean_has_changed_where_it_is_certain_and_half_of_what_a_move_scatters(value, u, changed):
+    own = HealthChange(value, u)
+    assert health(friction=own).friction_changed == changed
+    assert health(offset=own).offset_changed == changed
+    assert health(friction=None).friction_changed is False
+    # a part of a turn has part of a pattern in its mean
+    part = {"whole_turn": False, "shape": 0.3e-3}
+    assert not health(offset=HealthChange(0.29e-3, 1e-6), **part).offset_changed
+    assert health(offset=HealthChange(0.31e-3, 1e-6), **part).offset_changed

@@ -7,9 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rigtool.errors import InsufficientDataError
+from rigtool.errors import InsufficientDataError, RunFileError
 from rigtool.experiments.learning.implementations import a_one_speed, c_limited_angle
+from rigtool.experiments.learning.learned_table import COULOMB, VISCOUS
 from rigtool.experiments.learning.rows import Row
+from rigtool.quantity import Quantity
 from rigtool.recipe import load_recipe
 from tests.experiments.virtual_runs import RECIPE
 
@@ -110,3 +112,25 @@ def test_at_other_speeds_q_is_cut_off_where_the_same_orders_are(monkeypatch):
 @dataclass(frozen=True)
 class Cut:
     cutoff_hz: float
+
+
+@pytest.mark.parametrize(("part", "refused"), [(1.0, False), (0.97, True), (1.03, True)])
+def test_friction_is_compared_where_rising_moves_have_their_speed(part, refused):
+    """Not while they turn, nor on the way back, where it has the other sign."""
+    recipe = load_recipe(RECIPE, ("rig.attachment=instrument",))[0]
+    used = c_limited_angle.positions(recipe, recipe.ilc_learn.end_angle)
+    up = np.linspace(used[0] - 0.2, used[-1] + 0.2, 400)
+    setpoint = np.concatenate([up, up[::-1]])
+    friction = (2e-3 * math.tanh(3.0) + 1e-4 * 3.0) / 0.05
+    current = part * friction * np.repeat([1.0, -1.0], 400)
+    current[(setpoint < used[0]) | (setpoint > used[-1])] = 7.0
+    signals = {"position_setpoint": setpoint, "feedforward_current": current}
+    recording = SimpleNamespace(
+        name="learn_000", read=signals.__getitem__, condition={"speed": 3.0}.__getitem__
+    )
+    fed = {COULOMB: Quantity(2e-3, "N m", 0.0), VISCOUS: Quantity(1e-4, "N m s/rad", 0.0)}
+    if refused:
+        with pytest.raises(RunFileError, match="recording learn_000: friction of"):
+            c_limited_angle.require_feedforward(recording, recipe, 0.05, fed)
+    else:
+        c_limited_angle.require_feedforward(recording, recipe, 0.05, fed)

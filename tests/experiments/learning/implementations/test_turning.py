@@ -13,6 +13,7 @@ from rigtool.experiments.learning.implementations import a_one_speed as one_spee
 from rigtool.experiments.learning.implementations import standard_trajectory as trajectory
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.learning.procedure_design import design_filters
+from rigtool.experiments.learning.rows import Row
 from rigtool.experiments.learning.stored_table import lookup_table_from, require_same_rig
 from rigtool.recipe import load_recipe, override_recipe
 from rigtool.runfile import open_run
@@ -392,3 +393,106 @@ def test_c_learns_in_several_runs_and_holds_between_its_speeds(folder, kt):
     assert outcome.tables["iterations"]["rms"][1] < 0.15 * outcome.tables["iterations"]["rms"][0]
     again = run(ILC_LEARN, path, folder / "c-again.h5", kt=kt)
     assert again.results == outcome.results
+
+
+def test_the_map_and_its_tuning_are_stored_as_they_were_found():
+    rng = np.random.default_rng(1)
+    names = ("speed", "amplitude", "amplitude_u", "dof", "shift", "shift_u", "correlation")
+    tuning = SimpleNamespace(**{name: rng.random(4) for name in names})
+    position = REV * np.arange(6) / 6
+    row = Row(REV, rng.random((5, 6)))
+    taught = SimpleNamespace(row=row, tuning=tuning, table=SimpleNamespace(position=position))
+    found = one_speed.OneSpeed.learned_tables(SimpleNamespace(), taught)
+    for name in names:
+        np.testing.assert_array_equal(found["tuning"][name], getattr(tuning, name), err_msg=name)
+    units = {name: found["tuning"].columns[name].unit for name in names}
+    assert [units[name] for name in ("speed", "amplitude", "shift")] == ["rad/s", "1", "rad"]
+    learned = found["learned_map"]
+    np.testing.assert_array_equal(learned["position"], position)
+    np.testing.assert_allclose(learned["torque"], row.moves.mean(axis=0))
+    np.testing.assert_allclose(learned["u"], row.moves.std(axis=0, ddof=1) / np.sqrt(5))
+    np.testing.assert_array_equal(learned["dof"], np.full(6, 4))
+
+
+class RepeatedErrors:
+    """A recording of moves whose error is a sine, and noise of each move; the first one runs in."""
+
+    MOVES = 4
+
+    def __init__(self, recipe, size, seed, name="learn_000"):
+        self.name, self.count = name, trajectory.samples(recipe)
+        rng, moves = np.random.default_rng(seed), self.MOVES
+        self.phase = 2 * np.pi * 3 * np.arange(self.count) / self.count
+        self.sizes = size * (1 + 0.1 * rng.standard_normal(moves))
+        errors = 2e-4 + self.sizes[:, None] * np.sin(self.phase)
+        errors = np.concatenate([np.full(self.count, 7.0), errors.ravel(), [9.0, 9.0]])
+        setpoint = np.tile(np.cos(self.phase / 3), moves + 2)[: errors.size]
+        fed = np.tile(0.02 * np.sin(self.phase), moves + 2)[: errors.size]
+        time = np.arange(errors.size) * recipe.rig.sample_time
+        self.signals = SimpleNamespace(
+            time=time, setpoint=setpoint, rotor=setpoint - errors, learned=fed
+        )
+
+    def condition(self, name):
+        return {"samples": self.count, "moves": self.MOVES}[name]
+
+
+def test_a_repeated_move_learns_its_error_through_the_controller(monkeypatch):
+    """The controller's response at the one frequency of the error; means and scatter of moves."""
+    recipe = load_recipe(RECIPE, [PULLEY, using("standard")])[0]
+    own = object.__new__(trajectory.RepeatedMove)
+    own.recipe, own.filters, own.torque_constant = recipe, design_filters(recipe), 0.05
+    first, final = (RepeatedErrors(recipe, size, n) for n, size in enumerate((4e-3, 1e-3)))
+    monkeypatch.setattr(trajectory.common, "signals", lambda one, _: one.signals)
+    monkeypatch.setattr(trajectory.common, "found", lambda run, kind: [final])
+    taught = own.learn([[first]], ())
+    period = first.count * recipe.rig.sample_time
+    response = own.filters.controller.response(np.array([3 / period]))[0]
+    moves = first.sizes[:, None] * np.imag(response * np.exp(1j * first.phase))
+    fed = 0.05 * 0.02 * np.sin(first.phase)
+    each = own.filters.learning.updated(moves, period, fed)
+    size = np.abs(each).max()
+    np.testing.assert_allclose(taught.torque, each.mean(axis=0), atol=1e-9 * size)
+    np.testing.assert_allclose(taught.u, each.std(axis=0, ddof=1) / 2, atol=1e-9 * size)
+    assert taught.dof == 3
+    report = own.report(None, taught, ())
+    table = report.tables["trajectory"]
+    np.testing.assert_allclose(table["time"], np.arange(first.count) * recipe.rig.sample_time)
+    np.testing.assert_allclose(table["position"], np.cos(first.phase / 3))
+    for name, values in (("torque", taught.torque), ("u", taught.u), ("dof", 3)):
+        np.testing.assert_array_equal(np.broadcast_to(values, first.count), table[name])
+    for name, recording in (("error_before", first), ("error_after", final)):
+        mean = recording.sizes.mean() * np.sin(first.phase)
+        np.testing.assert_allclose(table[name], mean, atol=0.02 * np.abs(mean).max())
+    ends = []
+    for recording in (first, final):
+        without = (recording.sizes.sum() - recording.sizes) / 3
+        # jackknife
+        u = np.sqrt(3 / 4 * np.sum((without - without.mean()) ** 2))
+        ends.append((recording.sizes.mean(), u))
+    (before, before_u), (after, after_u) = ends
+    results = report.results
+    for name, part in (("error_peak", 1.0), ("error_rms", np.sqrt(0.5))):
+        assert results[name].value == pytest.approx(part * after, rel=0.01)
+        assert results[name].u == pytest.approx(part * after_u, rel=0.01)
+        assert results[name].dof == 3
+    reduction = results["error_reduction"]
+    assert reduction.value == pytest.approx(1 - after / before, rel=0.01)
+    expected = after / before * np.hypot(before_u / before, after_u / after)
+    assert reduction.u == pytest.approx(expected, rel=0.01)
+
+
+@pytest.mark.parametrize("missing", [0, 1])
+def test_a_repeated_move_must_be_whole(monkeypatch, missing):
+    recipe = load_recipe(RECIPE, [PULLEY, using("standard")])[0]
+    own = object.__new__(trajectory.RepeatedMove)
+    own.recipe, own.filters, own.torque_constant = recipe, design_filters(recipe), 0.05
+    recording = RepeatedErrors(recipe, 1e-3, 1)
+    for name, signal in vars(recording.signals).items():
+        setattr(recording.signals, name, signal[: 5 * recording.count - missing])
+    monkeypatch.setattr(trajectory.common, "signals", lambda one, _: one.signals)
+    if missing:
+        with pytest.raises(InsufficientDataError, match=f"5 moves of {recording.count} are needed"):
+            own.learn([[recording]], ())
+    else:
+        assert own.learn([[recording]], ()).torque.size == recording.count

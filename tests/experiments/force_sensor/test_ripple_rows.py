@@ -1,0 +1,387 @@
+"""A row of the torque against the equations of its filters, written with vectors and densities."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.stats import multivariate_normal, norm
+
+from rigtool.experiments.force_sensor import ripple_rows as rows
+from rigtool.experiments.force_sensor.lasting_contact import (
+    DRIFT,
+    LEAST_LASTS,
+    counted,
+    lasts_too,
+    normal,
+    weighed,
+)
+from rigtool.experiments.force_sensor.shown_ripple import LARGEST_SHOWN, show
+
+COUNT = rows.WAVE_COUNT
+SIZE, TIME = 0.4e-3, 0.019
+UNIT = math.log(2 * math.pi) / 2  # that the likelihoods of the module leave out
+
+
+def drawn(seed, slides=True):
+    """Return state and parameters in the middle of a recording, in which a row is full."""
+    rng = np.random.default_rng(seed)
+    state, parameters = np.zeros(1, rows.STATE), np.zeros(1, rows.PARAMETERS)
+    s, p = state[0], parameters[0]
+    for name, value in {"steps": 20, "time": TIME, "size": SIZE, "late": 25}.items():
+        p[name] = value
+    for name in ("covariance", "covariances"):
+        root = SIZE * rng.standard_normal((*s[name].shape[:-1], 3 * COUNT)) / 4
+        s[name] = root @ np.swapaxes(root, -1, -2)
+    for name in ("mean", "means", "learned", "level"):
+        s[name] = SIZE * rng.standard_normal(s[name].shape)
+    s["drawn"] = SIZE**2 * rng.uniform(2, 3, COUNT)  # far from the largest ripple
+    for name in ("shift", "shifts"):
+        s[name] = 0.1 * rng.standard_normal(s[name].shape)
+    for name in ("lasting", "plain_lasting"):
+        s[name] = SIZE * rng.standard_normal(), SIZE**2 * rng.uniform(1, 2)
+    s["lastings"] = SIZE * rng.uniform(1, 2, (2, 2))
+    s["plain"], s["plain_variance"] = SIZE * rng.standard_normal(), SIZE**2 * rng.uniform(0.5, 1)
+    s["level_variance"] = SIZE**2 * rng.uniform(1, 30, 2)
+    s["plain_shift"], s["other"] = -rng.uniform(0, 0.5), rng.standard_normal()
+    for name in ("touched", "plain_touched", "fast", "lasts", "plain_lasts"):
+        s[name] = rng.uniform(0.1, 0.6)
+    s["row"] = np.append(rng.uniform(-1, 1, COUNT), SIZE * rng.standard_normal())
+    s["length"], s["filled"], s["slid"] = 17, 17, 17 if slides else 16
+    s["since"], s["doubted"], s["drawn_length"] = 3, rng.integers(COUNT), rng.integers(1024)
+    return state, parameters
+
+
+def density(error, variance):
+    return norm.logpdf(error, scale=math.sqrt(variance)) + UNIT
+
+
+def mixed(probability, one, other):
+    """Return the logarithm of a mixture's likelihood, and the probability of the other."""
+    logs = math.log(1 - probability) + one, math.log(probability) + other
+    return np.logaddexp(*logs), math.exp(logs[1] - np.logaddexp(*logs))
+
+
+def after_time(s, slides):
+    """Return by name what goes on by itself until the end of a row."""
+    found = {name: np.copy(s[name]) for name in s.dtype.names}
+    transition = np.eye(COUNT + 1)
+    transition[-1, -1] = kept = math.exp(-TIME / rows.MEMORY) if slides else 0.0
+    fresh = (1 - kept**2) * SIZE**2
+    for name in ("mean", "shift"):
+        found[name] = transition @ s[name]
+    found["covariance"] = transition @ s["covariance"] @ transition
+    found["covariance"][-1, -1] += fresh
+    for name in ("plain", "plain_shift"):
+        found[name] = kept * s[name]
+    found["plain_variance"] = kept**2 * s["plain_variance"] + fresh
+    for name in ("touched", "plain_touched"):
+        begun, ended = (1 - s[name]) * rows.BEGINS * TIME, s[name] * rows.ENDS * TIME
+        found[name] = s[name] + begun - ended
+    half = rows.CHANGES * TIME / 2  # a walk that changes becomes either with equal probability
+    found["fast"] = s["fast"] * (1 - half) + (1 - s["fast"]) * half
+    walks = (np.array(rows.WALKS) * SIZE) ** 2 * TIME
+    turned = 0.0 if slides else (rows.AFTER_REVERSAL * SIZE) ** 2 * TIME / rows.ROW_TIME
+    found["level_variance"] = s["level_variance"] + walks + turned
+    for name in ("lasting", "plain_lasting"):
+        found[name] = s[name] + [0, (DRIFT * SIZE) ** 2 * TIME]
+    if slides:
+        one = int(s["doubted"])
+        found["covariance"][one, one] += COUNT * s["drawn"][one] * TIME / rows.FORGOTTEN
+        found["doubted"] = (one + 1) % COUNT
+    return found
+
+
+def read(s):
+    """Return by name what a row that slides leaves."""
+    found = after_time(s, True)
+    noise, value = (rows.NOISE * SIZE) ** 2, s["row"][-1]
+    # where something touches: two walks, of which either may leap
+    anew, likely = (rows.CONTACT * SIZE) ** 2, []
+    for i in range(2):
+        level, variance = found["level"][i], found["level_variance"][i]
+        stays = density(value - level, variance + noise)
+        leaps = density(value, anew + noise) + math.log(rows.CHANGES * TIME)
+        if leaps > stays:
+            level, variance = 0.0, anew
+        likely.append(max(leaps, stays))
+        gain = variance / (variance + noise)
+        found["level"][i] = level + gain * (value - level)
+        found["level_variance"][i] = (1 - gain) * variance
+    touching, found["fast"] = mixed(found["fast"], *likely)
+    evidence = {}
+    for prefix, seen in (("", np.append(s["row"][:-1], 1.0)), ("plain_", np.ones(1))):
+        mean, covariance = (
+            (found["mean"], found["covariance"])
+            if not prefix
+            else (np.atleast_1d(found["plain"]), np.atleast_2d(found["plain_variance"]))
+        )
+        shift = np.atleast_1d(found[prefix + "shift"])
+        error, variance = value - seen @ mean, seen @ covariance @ seen + noise
+        own, lasting = 1 + seen @ shift, found[prefix + "lasting"]
+        before = found[prefix + "touched"]
+        alone, touched = mixed(before, density(error, variance), touching)
+        whole = variance + own**2 * lasting[1]
+        lasts, _ = mixed(before, density(error - own * lasting[0], whole), touching)
+        halves = rows.ROW_EVIDENCE * alone, rows.ROW_EVIDENCE * lasts
+        evidence[prefix], found[prefix + "lasts"] = mixed(found[prefix + "lasts"], *halves)
+        found[prefix + "touched"] = touched
+        gain = (1 - touched) * covariance @ seen / variance
+        part = (1 - touched) * own * lasting[1] / whole
+        found[prefix + "lasting"] = [
+            lasting[0] + part * (error - own * lasting[0]),
+            lasting[1] * (1 - part * own),
+        ]
+        new = mean + gain * error, covariance - np.outer(gain, seen @ covariance)
+        if prefix:
+            found["plain"], found["plain_variance"] = new[0][0], new[1][0, 0]
+            found["plain_shift"] = (shift - gain * own)[0]
+        else:
+            found["mean"], found["covariance"], found["shift"] = *new, shift - gain * own
+    found["other"] = s["other"] + evidence[""] - evidence["plain_"]
+    return found
+
+
+def begun(s, found):
+    """Return what is found, with the next row begun."""
+    length = (137 * s["drawn_length"] + 29) % 1024
+    row = {"row": np.zeros(COUNT + 1), "filled": 0, "slid": 0, "drawn_length": length}
+    return found | row | {"length": 10 + 20 * length // 1024}
+
+
+KEPT = ("mean", "shift", "lasting", "covariance")
+
+
+def assert_state(s, expected):
+    taken_back = (*KEPT, *(name + "s" for name in KEPT), "since")
+    for name in s.dtype.names:
+        if s["touched"] > rows.RECOGNISED and name in taken_back:
+            continue
+        assert_allclose(s[name], expected[name], rtol=1e-9, atol=1e-15, err_msg=name)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_row_is_read_as_its_equations_have_it(seed):
+    state, parameters = drawn(seed)
+    if seed % 2:
+        state["row"][0, -1] *= 20  # a leap, where something touches
+    expected = begun(state[0], read(state[0]) | {"since": 4})
+    rows.read_row(state[0], parameters[0])
+    assert_state(state[0], expected)
+
+
+def test_a_row_in_which_the_motion_turns_back_is_not_read():
+    state, parameters = drawn(1, slides=False)
+    expected = begun(state[0], after_time(state[0], False))
+    rows.read_row(state[0], parameters[0])
+    assert_state(state[0], expected)
+
+
+@pytest.mark.parametrize("times", [0.99, 1.01])
+def test_an_order_beyond_three_times_what_a_power_up_draws_begins_anew(times):
+    """Each order has the sum of both of its variances."""
+    state, parameters = drawn(2)
+    s, order = state[0], 2 * (COUNT // 2 - 1)
+    s["covariance"] = 1e-9 * np.diag(s["drawn"][0] * np.ones(COUNT + 1))  # a row changes no mean
+    limit = rows.LARGEST_RIPPLE_RATIO * math.sqrt(s["drawn"][order : order + 2].sum())
+    s["mean"][:COUNT] = -s["learned"]
+    s["mean"][order : order + 2] += times * limit * np.array([0.6, -0.8])
+    s["row"][-1], s["lasts"] = s["row"][:-1] @ s["mean"][:-1], 0.0
+    s["other"] = 3.0
+    kept = s["mean"].copy()
+    rows.read_row(s, parameters[0])
+    if times < 1:
+        assert_allclose(s["mean"][:COUNT], kept[:COUNT], rtol=1e-4)
+        return
+    assert s["other"] == 0.0
+    assert_allclose(s["mean"][:COUNT], -s["learned"])
+    assert not s["shift"][:COUNT].any()
+    assert_allclose(s["covariance"][:COUNT], np.eye(COUNT + 1)[:COUNT] * np.append(s["drawn"], 0))
+    assert s["covariance"][-1, -1] > 0
+    for name in KEPT:
+        assert_allclose(s[name + "s"], [s[name]] * 2)
+
+
+def test_odds_stay_within_the_largest_ratio():
+    for sign in (1.0, -1.0):
+        state, parameters = drawn(3)
+        state["other"] = sign * (rows.MAX_LOG_RATIO + 20)
+        rows.read_row(state[0], parameters[0])
+        assert state["other"][0] == sign * rows.MAX_LOG_RATIO
+
+
+def test_what_was_known_before_a_recognised_contact_comes_back():
+    state, parameters = drawn(4)
+    s = state[0]
+    s["row"][-1], s["plain"] = 60 * SIZE, 0.0
+    before = {name: s[name + "s"].copy() for name in KEPT}
+    rows.read_row(s, parameters[0])
+    assert s["touched"] > rows.RECOGNISED
+    assert s["since"] == 0
+    for name in KEPT:
+        # what strokes deviate by is drawn anew
+        own = (..., slice(COUNT), slice(COUNT)) if name == "covariance" else (..., slice(COUNT))
+        for again in (s[name], s[name + "s"][1]):
+            assert_allclose(again[own], before[name][0][own], err_msg=name)
+        assert_allclose(s[name + "s"][0], before[name][0])
+    assert s["mean"][-1] == s["shift"][-1] == 0
+    assert_allclose(s["covariance"][-1], np.append(np.zeros(COUNT), SIZE**2))
+    assert_allclose(s["covariance"][:, -1], s["covariance"][-1])
+
+
+@pytest.mark.parametrize(("since", "moved"), [(23, False), (24, True)])
+def test_what_is_known_is_kept_every_so_many_rows(since, moved):
+    state, parameters = drawn(5)
+    s = state[0]
+    s["since"] = since
+    before = {name: s[name + "s"].copy() for name in KEPT}
+    rows.read_row(s, parameters[0])
+    assert s["touched"] < rows.RECOGNISED
+    assert s["since"] == (0 if moved else since + 1)
+    for name in KEPT:
+        now = [before[name][1], s[name]] if moved else before[name]
+        assert_allclose(s[name + "s"], now, err_msg=name)
+
+
+def test_a_row_that_is_surely_touched_leaves_the_ripple_alone():
+    state, parameters = drawn(0)
+    s = state[0]
+    s["row"][-1] = 300 * SIZE
+    for name in KEPT:
+        s[name + "s"][:] = s[name]
+    expected = after_time(s, True)
+    rows.read_row(s, parameters[0])
+    assert s["touched"] > 1 - rows.MIN_UNTOUCHED_PROBABILITY
+    assert_allclose(s["mean"][:COUNT], expected["mean"][:COUNT], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("step_time", "steps", "late"), [(1e-3, 20, 25), (8e-3, 2, 31), (0.1, 1, 5)]
+)
+def test_rows_have_20_ms_and_half_a_second_is_taken_back(step_time, steps, late):
+    assert (rows.row_steps(step_time), rows.late_rows(step_time)) == (steps, late)
+
+
+# -- a contact that lasts
+
+
+@pytest.mark.parametrize("probability", [0.01, 0.3, 0.8])
+@pytest.mark.parametrize("logs", [(0.3, -1.2), (-800.0, -801.0), (700.0, 720.0)])
+def test_two_likelihoods_are_mixed_by_their_probability(probability, logs):
+    assert_allclose(weighed(probability, *logs), mixed(probability, *logs))
+
+
+@pytest.mark.parametrize(("other", "expected"), [(-60.0, LEAST_LASTS), (60.0, 1 - LEAST_LASTS)])
+def test_what_counts_keeps_away_from_0_and_1(other, expected):
+    together, lasts = counted(0.5, 0.0, other)
+    assert lasts == expected
+    assert together == pytest.approx(max(other, 0.0) + math.log(0.5))
+
+
+def test_a_likelihood_is_that_of_a_normal_but_for_a_constant():
+    found = [normal(error, 0.3) - norm.logpdf(error, scale=0.3**0.5) for error in (0.0, -2.0, 0.7)]
+    assert_allclose(found, UNIT)
+
+
+@pytest.mark.parametrize("seen", [1.0, 0.4, -0.2])
+def test_a_lasting_contact_is_conditioned_on_what_a_row_shows(seen):
+    """Joint normal of contact and row, and what a row that may be touched shows of it."""
+    mean, own, variance, error = 0.3, 0.5, 0.2, -0.4
+    joint = np.array([[own, seen * own], [seen * own, seen**2 * own + variance]])
+    slope = joint[0, 1] / joint[1, 1]
+    for untouched in (1.0, 0.25, 0.0):
+        lasting = np.array([mean, own])
+        found = lasts_too(lasting, error, seen, variance, untouched)
+        likely = multivariate_normal.logpdf(error, seen * mean, joint[1, 1])
+        assert found == pytest.approx(likely + UNIT)
+        assert lasting[0] == pytest.approx(mean + untouched * slope * (error - seen * mean))
+        assert lasting[1] == pytest.approx(own - untouched * slope * joint[0, 1])
+
+
+# -- waves as the filter's torque shows them
+
+WAVES = ("angle", "speed", "housing", "sine", "cosine", "seen")
+
+
+def watched(seed, output=0.7, speed=2.0, bristle=0.95, gains=1.0):
+    """Return state, parameters and what the filter has, with gains of an observer that settles."""
+    rng = np.random.default_rng(seed)
+    state, parameters = drawn(seed)
+    s, p = state[0], parameters[0]
+    values = {"factor": 1.18, "step_time": 1e-3, "inertia": 2e-5, "friction": 9e-3}
+    values |= {"length": 8e-3, "slow": 0.5, "shown": 0.08, "load_friction": 0.1, "onset": 1.8e-3}
+    for name, value in values.items():
+        p[name] = value
+    for name in (*WAVES, "waves"):
+        s[name] = 1e-3 * rng.standard_normal(COUNT)
+    s["direction"] = 1.0
+    follows = gains * np.array([0.3, 30.0, 2.0, -0.05, 0.04, -4e-3])
+    return s, p, np.append(follows, [output, speed, bristle])
+
+
+@pytest.mark.parametrize(("speed", "bristle"), [(2.0, 0.95), (-1.5, -0.8), (-2.0, 0.3)])
+def test_waves_are_shown_by_a_linear_observer(speed, bristle):
+    s, p, follows = watched(0, speed=speed, bristle=bristle)
+    s["direction"], torque, step = math.copysign(1.0, bristle), -3e-3, 1e-3
+    before = {name: s[name].copy() for name in WAVES}
+    # the bristle of length L: dz/dt = v - |v| z / L in its length, over a step
+    kept = math.exp(-abs(speed) * step / p["length"])
+    slope = (1 - math.copysign(bristle, speed * bristle)) * kept * step / p["length"]
+    feels = 1 + p["load_friction"] * bristle * torque / math.hypot(torque, p["onset"])
+    a, v, h, sine, cosine, seen = range(6)
+    push = np.zeros(6)
+    push[[sine, cosine]] = bristle * np.sin(0.7), bristle * np.cos(0.7)
+    push[h], push[seen] = -p["friction"], feels
+    change, feed = np.eye(6), np.zeros(6)
+    change[h, h], change[h, v] = kept, slope
+    change[v] += step / p["inertia"] * push
+    feed[v] = -step / p["inertia"]
+    change[a] += step * change[v]
+    feed[a] = step * feed[v]
+    gain = follows[:6] * [-1, -1, -1, 1, 1, 1 / p["factor"]]
+    observer = np.eye(6) + np.outer(gain, np.eye(6)[a])
+    expected = observer @ (
+        change @ np.stack([before[name] for name in WAVES]) + np.outer(feed, s["waves"])
+    )
+    show(s, p, follows, torque)
+    for name, value in zip(WAVES, expected, strict=True):
+        assert_allclose(s[name], value, rtol=1e-9, err_msg=name)
+
+
+def test_an_observer_shows_a_wave_that_stays():
+    """All that turns is then in balance: the torque found, with the friction that it brings."""
+    s, p, follows = watched(1, gains=1.0)
+    follows[2:5] = 0.0
+    for name in ("housing", "sine", "cosine"):
+        s[name] = 0.0
+    for _ in range(4000):
+        show(s, p, follows, 5e-3)
+    feels = 1 + p["load_friction"] * 0.95 * 5e-3 / math.hypot(5e-3, p["onset"])
+    assert_allclose(feels * s["seen"], s["waves"] + p["friction"] * s["housing"], rtol=1e-6)
+
+
+@pytest.mark.parametrize("begins", [True, False])
+def test_a_stroke_that_begins_forgets_what_the_angle_showed(begins):
+    s, p, follows = watched(2, speed=-2.0, bristle=-0.51 if begins else -0.49)
+    sine = s["sine"].copy()
+    follows[:6] = 0.0
+    show(s, p, follows, 0.0)
+    assert s["direction"] == (-1.0 if begins else 1.0)
+    assert_allclose(s["sine"], 0.0 if begins else sine)
+    assert_allclose(s["cosine"] == 0, begins)
+    follows[8] = 0.9
+    show(s, p, follows, 0.0)
+    assert s["direction"] == 1.0
+
+
+@pytest.mark.parametrize("why", ["slow", "large"])
+def test_held_or_runaway_waves_follow_in_a_set_time(why):
+    s, p, follows = watched(3, speed=-0.4 if why == "slow" else -0.6)
+    if why == "large":
+        s["seen"] = LARGEST_SHOWN * 1.2 * np.where(np.arange(COUNT) % 2, 1.0, -1.0)
+        follows[5] = 0.0
+    expected = s["seen"] + 0.08 * (s["waves"] - s["seen"])
+    show(s, p, follows, 0.0)
+    assert_allclose(s["seen"], expected)
+    for name in ("angle", "speed", "housing"):
+        assert not s[name].any()
