@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -190,7 +190,7 @@ def _geometric(ratios: np.ndarray) -> float:
     return float(np.exp(np.nanmean(np.log(ratios[ratios > 0]))))
 
 
-def _print_by_rigs(groups: dict[str, Sequence[Found]]) -> None:
+def _print_by_rigs(groups: Mapping[str, Sequence[Found]]) -> None:
     """Print a row for each of some groups of rigs, all conditions together, at the last band."""
     print()
     own = [f"{motion}: {head}" for motion in MOTIONS for head in (HEADS[0], *HEADS[1::2])]

@@ -215,7 +215,7 @@ def growth(folder: Path) -> None:
 def fixture_commands(folder: Path) -> dict[str, list[str]]:
     """Return each command's arguments for its stored run."""
     kt, tables = FIXTURES / "kt.h5", FIXTURES / "tables.h5"
-    inputs = {
+    inputs: dict[str, list[str | Path]] = {
         "calibrate-kt": [kt],
         "stribeck": [FIXTURES / "friction.h5", "--kt", kt],
         "fft-ripple": [FIXTURES / "ripple.h5", "--kt", kt],

@@ -101,7 +101,7 @@ def counted(found: list[Contact], recorded: Recorded, within: float) -> Count:
         first = [
             c.found for c in found if begin < c.found < end and acts[begin + 1 : c.found].all()
         ]
-        delays += [(first[0] - begin) * step_time] if first else []
+        delays += [float(first[0] - begin) * step_time] if first else []
     false = sum(not acts[max(0, c.begin - 1) : c.found + 1].any() for c in found)
     return Count(len(begins), len(delays), sum(d <= within for d in delays), tuple(delays), false)
 

@@ -158,8 +158,8 @@ def rows(trials: Sequence[Trial]) -> Iterator[Row]:
     for tried in trials:
         for (name, _), errors in tried.found.items():
             found.setdefault(name, []).append(errors)
-    for name, errors in found.items():
-        yield Row.of(name, np.array(errors))
+    for name, own in found.items():
+        yield Row.of(name, np.array(own))
 
 
 def main() -> None:

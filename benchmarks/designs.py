@@ -297,7 +297,7 @@ def true_orders(recipe: Recipe, speed: float, load: float, degc: float) -> np.nd
     return amplitudes
 
 
-PULLEY = {"rig.attachment": "pulley"}
+PULLEY: Settings = {"rig.attachment": "pulley"}
 
 
 def turning() -> Iterator[Design]:
@@ -321,7 +321,7 @@ def turning() -> Iterator[Design]:
             Step(IDENTIFY_PLANT, PULLEY, {"kt": KT}),
             by_name(true_plant),
         )
-    soft = {"virtual.motor.presliding_angle": 10e-3}
+    soft: Settings = {"virtual.motor.presliding_angle": 10e-3}
     yield Design(
         "stribeck, soft contacts",
         also(moving, soft),

@@ -76,7 +76,8 @@ def samples(folder: Path) -> Iterator[tuple[str, str, list[Case]]]:
 
 def loads(folder: Path) -> Iterator[tuple[str, str, list[Case]]]:
     """Yield recordings of a growing number of loads."""
-    inputs, cases = HOUR["measure-force"][1], []
+    inputs = HOUR["measure-force"][1]
+    cases: list[Case] = []
     for size in (5, 10, 20, 40):
         path = folder / f"loads{size}.h5"
         forces = np.linspace(0.1, 2.5, size).round(4).tolist()
@@ -91,7 +92,8 @@ def loads(folder: Path) -> Iterator[tuple[str, str, list[Case]]]:
 def orders(folder: Path, count: int = 160_000) -> Iterator[tuple[str, str, list[Case]]]:
     """Yield imported recordings of equal length, with more and more samples, and orders, a turn."""
     (folder / "mapping.toml").write_text(MAPPING)
-    random, cases = np.random.default_rng(1), []
+    random = np.random.default_rng(1)
+    cases: list[Case] = []
     for size in (12, 25, 50, 100, 400):
         turns = np.arange(count) / (2.5 * size)
         angle, time = 2 * np.pi * turns, turns / 0.5

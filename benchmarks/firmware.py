@@ -114,9 +114,9 @@ def sizes(flags: list[str]) -> tuple[int, int]:
             text, _, _, *_ = _run("arm-none-eabi-size", folder / "own.o").splitlines()[1].split()
             code += int(text)
         (folder / "size.c").write_text('#include "rigtool_target.h"\nstruct rigtool_target it;\n')
-        own = folder / "size.o"
-        _run(GCC, *FLAGS, *flags, *CHIP[:-1], f"-I{SOURCES}", "-c", folder / "size.c", "-o", own)
-        memory = _run("arm-none-eabi-size", own).splitlines()[1].split()[2]
+        size = folder / "size.o"
+        _run(GCC, *FLAGS, *flags, *CHIP[:-1], f"-I{SOURCES}", "-c", folder / "size.c", "-o", size)
+        memory = _run("arm-none-eabi-size", size).splitlines()[1].split()[2]
         return code, int(memory)
 
 

@@ -14,6 +14,7 @@ import argparse
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -135,12 +136,15 @@ def read(
         weights = np.linalg.solve(normal, matrix.T @ effort)
         return float(np.sqrt(np.mean((effort - matrix @ weights) ** 2))), weights / size
 
+    def cost(logs: np.ndarray) -> float:
+        return 1e3 * fit(logs)[0]
+
     way, middle = scales.high - scales.low, scales.speed / 5
     starts = [np.log([way / 100, way / n, middle, k]) for n in (60, 20) for k in (5.0, 100.0)]
     best = min(starts, key=lambda logs: fit(logs)[0])
     around = np.vstack([best, best + 0.7 * np.eye(4)])
-    options = {"maxfev": SEARCHED, "initial_simplex": around}
-    logs = minimize(lambda x: 1e3 * fit(x)[0], best, method="Nelder-Mead", options=options).x
+    options: Any = {"maxfev": SEARCHED, "initial_simplex": around}
+    logs = minimize(cost, best, method="Nelder-Mead", options=options).x
     weights, found = fit(logs)[1], []
     for one, own in zip(judge, rows, strict=True):
         columns, power = functions.design(one, scales, logs, ratio)

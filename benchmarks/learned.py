@@ -60,6 +60,7 @@ from rigtool.experiments.force_sensor.results_over_time import TorqueRows
 from rigtool.experiments.force_sensor.sensor import SensorProperties
 from rigtool.experiments.force_sensor.stretch import Stretch
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
+from rigtool.experiments.procedure import Procedure
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
 from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
@@ -102,7 +103,7 @@ def learned(rig: str, seed: int, folder: Path) -> tuple[ForceModel, Reach, Known
     kt, tables = folder / "kt.h5", folder / "tables.h5"
     implementation = "ilc_learn.implementation=D"
 
-    def run(procedure: object, output: Path, *overrides: str, **inputs: Path) -> None:
+    def run(procedure: Procedure, output: Path, *overrides: str, **inputs: Path) -> None:
         options = CommonOptions(overwrite=True, seed=seed, overrides=(*sets, *overrides))
         with ExitStack() as stack:
             runs = {name: stack.enter_context(open_run(path)) for name, path in inputs.items()}
@@ -169,8 +170,8 @@ def learned_scores(
             for state, chosen in states.items():
                 among = chosen[rows][:size]
                 found[motion, form, band, state] = score(error[among], u[:size][among])
-            for cell, chosen in _cells(truth[:size], own[:size]).items():
-                among = chosen & states["all"][rows][:size]
+            for cell, inside in _cells(truth[:size], own[:size]).items():
+                among = inside & states["all"][rows][:size]
                 found[motion, form, band, cell] = score(error[among], u[:size][among])
     return found
 
@@ -188,7 +189,7 @@ def read(instrument: SensorProperties, recorded: Recorded) -> TorqueRows:
     return found
 
 
-def _cells(truth: Array, states: Array) -> dict[str, Array]:
+def _cells(truth: Array, states: NDArray[np.integer]) -> dict[str, NDArray[np.bool_]]:
     """Return which steps are in each band of load, of 60 mN m, and state of the reading."""
     band = np.searchsorted(np.array(LOADS) * LARGEST, np.abs(truth), side="right") - 1
     return {name: (band == number) & (states == state) for number, state, name in cells()}

@@ -24,6 +24,7 @@ from rigtool.recipe import Recipe, load_recipe
 from rigtool.rigs import Task, open_rig
 from rigtool.rigs.motion import SpeedProfile
 from rigtool.rigs.operator import Operator
+from rigtool.rigs.serial.rig import SerialRig
 
 ROOT = Path(__file__).parents[1]
 RECIPE = ROOT / "recipes" / "briaire-2006.toml"
@@ -92,7 +93,7 @@ def run(port: str, log: str, seconds: float) -> tuple[int, float, float, dict[st
         for block in blocks:
             samples += len(block["time"])
         wall, processor = time.perf_counter() - wall, time.process_time() - processor
-        return samples, wall, processor, json.loads(rig.report())
+        return samples, wall, processor, json.loads(rig.report() or "{}")
 
 
 def streaming(seconds: float, *options: str) -> dict[str, float]:
@@ -112,6 +113,7 @@ def download(seconds: float = 60.0) -> float:
     with emulator() as port:
         operator = Operator(say=lambda text: None, present=False, yes=True)
         with open_rig(recipe(port, "memory"), 0.0454, "bench", operator) as rig:
+            assert isinstance(rig, SerialRig)
             blocks = rig.perform(
                 Task(SpeedProfile((0.0, 1.0, seconds - 1.0, seconds), (0.0, 3.0, 3.0, 0.0)))
             )

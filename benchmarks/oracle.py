@@ -408,7 +408,7 @@ def score(error: Array, deviation: Array) -> Score:
 
 def measured(rig: str, seed: int, duration: float, contacts: str) -> tuple[str, dict[Key, Score]]:
     """Return the scores of one rig and seed."""
-    found = {}
+    found: dict[Key, Score] = {}
     for motion in MOTIONS:
         found.update(scores(record(rig, seed, motion, duration, contacts), motion))
     return rig, found

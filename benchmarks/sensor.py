@@ -114,7 +114,7 @@ class Chip:
             (bits,) = struct.unpack("<I", struct.pack("<f", number))
             self._uc.reg_write(registers.UC_ARM_REG_S0 + place, bits)
         self._uc.emu_start(self._symbols[name] | 1, end)
-        return sum(self._cost(block) * times for block, times in self._blocks.items())
+        return np.sum([self._cost(block) * times for block, times in self._blocks.items()], axis=0)
 
     def _cost(self, block: tuple[int, int]) -> np.ndarray:
         if block not in self._costs:

@@ -4,10 +4,12 @@ import re
 import runpy
 import subprocess
 import tomllib
+from importlib import metadata
 from pathlib import Path
 
 import pytest
 import yaml
+from packaging.specifiers import SpecifierSet
 
 import release_check
 import rigtool
@@ -63,6 +65,15 @@ def test_the_hooks_are_the_checks_of_make_test():
     assert len(checks) == len(entries) == 3
     for check in checks:
         assert any(entry.startswith(f".venv/bin/{check}") for entry in entries), check
+
+
+def test_the_locked_versions_install_with_the_lowest_python():
+    lowest = PROJECT["requires-python"].removeprefix(">=") + ".0"
+    lines = (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()
+    locked = [line.partition("==")[0] for line in lines if "==" in line]
+    allowed = {name: metadata.metadata(name).get("Requires-Python") or "" for name in locked}
+    assert len(allowed) > 50
+    assert {n: s for n, s in allowed.items() if not SpecifierSet(s).contains(lowest)} == {}
 
 
 def test_make_help_names_every_target():

@@ -7,7 +7,7 @@ from rigtool.experiments.running.options import CommonOptions
 
 
 @measuring(
-    "rigtool calibrate-kt recipes/briaire-2006.toml -o kt.h5",
+    "rigtool calibrate-kt rig.toml -o kt.h5",
     "rigtool calibrate-kt imported/*.h5 -o kt.h5",
 )
 @common_options

@@ -7,7 +7,7 @@ from rigtool.experiments.running.options import CommonOptions
 
 
 @measuring(
-    "rigtool fft-ripple recipes/briaire-2006.toml --kt kt.h5 -o ripple.h5",
+    "rigtool fft-ripple rig.toml --kt kt.h5 -o ripple.h5",
     "rigtool fft-ripple imported/comp_0.h5 imported/nocomp_0.h5 -o ripple.h5",
 )
 @run_option("--kt", "Run of calibrate-kt: current to torque; not needed for imported runs.")

@@ -7,9 +7,8 @@ from rigtool.experiments.running.options import CommonOptions
 
 
 @measuring(
-    "rigtool identify-plant recipes/briaire-2006.toml --kt kt.h5 -o plant.h5",
-    "rigtool identify-plant recipes/briaire-2006.toml --kt kt.h5 "
-    "--set rig.attachment=pulley -o plant-pulley.h5",
+    "rigtool identify-plant rig.toml --kt kt.h5 -o plant.h5",
+    "rigtool identify-plant rig.toml --kt kt.h5 --set rig.attachment=pulley -o plant-pulley.h5",
 )
 @run_option("--kt", "Run of calibrate-kt; without it the data sheet's torque constant is used.")
 @common_options

@@ -17,9 +17,9 @@ from rigtool.inputs import is_recipe
 
 
 @measuring(
-    "rigtool ilc-learn recipes/briaire-2006.toml --kt kt.h5 -o tables.h5",
-    "rigtool ilc-learn recipes/briaire-2006.toml --kt kt.h5 --implementation D -o tables-loads.h5",
-    "rigtool ilc-learn recipes/briaire-2006.toml --kt kt.h5 --check tables.h5 -o check.h5",
+    "rigtool ilc-learn rig.toml --kt kt.h5 -o tables.h5",
+    "rigtool ilc-learn rig.toml --kt kt.h5 --implementation D -o tables-loads.h5",
+    "rigtool ilc-learn rig.toml --kt kt.h5 --check tables.h5 -o check.h5",
 )
 @run_option("--kt", "Run of calibrate-kt: current to torque.")
 @run_option("--friction", "Run of stribeck: feed its friction forward while learning.")

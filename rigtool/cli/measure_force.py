@@ -20,8 +20,8 @@ from rigtool.inputs import is_recipe
 
 
 @measuring(
-    "rigtool measure-force recipes/briaire-2006.toml --kt kt.h5 --tables tables.h5 -o force.h5",
-    "rigtool measure-force recipes/briaire-2006.toml --kt kt.h5 --tables tables-loads.h5 "
+    "rigtool measure-force rig.toml --kt kt.h5 --tables tables.h5 -o force.h5",
+    "rigtool measure-force rig.toml --kt kt.h5 --tables tables-loads.h5 "
     "--record 60 -o force-over-time.h5",
 )
 @run_option("--kt", "Run of calibrate-kt; not needed for imported runs.")

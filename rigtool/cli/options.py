@@ -17,6 +17,7 @@ import functools
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from textwrap import TextWrapper
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
@@ -101,7 +102,8 @@ def current_output() -> Output:
 
 def example(*lines: str) -> str:
     """Return the epilog of a command's help: lines that a user can run as they are."""
-    return "\n".join(["\b", "Example:", *(f"  {line}" for line in lines)])
+    wrap = TextWrapper(74, initial_indent="  ", subsequent_indent="    ", break_on_hyphens=False)
+    return "\n".join(["\b", "Example:", *(" \\\n".join(wrap.wrap(line)) for line in lines)])
 
 
 def source_arguments(function: CommandFunction) -> CommandFunction:

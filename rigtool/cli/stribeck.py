@@ -10,7 +10,7 @@ from rigtool.inputs import is_recipe
 
 
 @measuring(
-    "rigtool stribeck recipes/briaire-2006.toml --kt kt.h5 -o friction.h5",
+    "rigtool stribeck rig.toml --kt kt.h5 -o friction.h5",
     "rigtool stribeck imported/*.h5 -o friction.h5",
     "rigtool stribeck loaded.h5 --against bare.h5 --kt kt.h5 -o payload.h5",
 )

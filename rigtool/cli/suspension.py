@@ -6,7 +6,7 @@ from rigtool.cli.options import common_options, measuring, run_and_print
 from rigtool.experiments.running.options import CommonOptions
 
 
-@measuring("rigtool suspension recipes/briaire-2006.toml -o suspension.h5")
+@measuring("rigtool suspension rig.toml -o suspension.h5")
 @common_options
 def command(sources: tuple[str, ...], output: str, options: CommonOptions) -> None:
     """Measure leaf springs; compute what eccentric pulleys do.

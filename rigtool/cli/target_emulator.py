@@ -14,7 +14,7 @@ from rigtool.cli.options import (
 )
 
 
-@command_with("rigtool target-emulator recipes/briaire-2006.toml --tcp 127.0.0.1:0 --for 0.5")
+@command_with("rigtool target-emulator rig.toml --tcp 127.0.0.1:0 --for 0.5")
 @click.argument("recipe", type=FILE_ARGUMENT, metavar="RECIPE.toml")
 @click.option(
     "--tcp", metavar="HOST:PORT", help="Serve at this address instead of a pseudo-terminal."

@@ -16,7 +16,7 @@ torque is a fault: of the encoder, of the set point or of [rig.controller].
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -53,6 +53,9 @@ PARTS = 8
 """Of a recording at constant speeds, most of them of one direction: their means are what it takes,
 also where the loop swings slowly."""
 
+MOTION_TIME = 0.1
+"""Time over which the mean of a current is what a motion takes, s: some periods of a loop's own."""
+
 UNEXPLAINED_DISTANCE = 0.1
 """Distance of rotor and set point that is accepted without a torque, rad: friction, the encoder's
 steps and the delay of the current leave this much at any load."""
@@ -60,7 +63,7 @@ steps and the delay of the current leave this much at any load."""
 LOWEST_HZ = 0.5
 """Lower end of the band in which the controller's gain counts: slower than any motion."""
 
-SMALLER_FORCE = "use a smaller force"
+SMALLER_FORCE = "use a smaller force, or move slower"
 """Remedy where the loop saturates under a load."""
 
 SPECTRUM_POINTS, EDGE_HARMONICS = 500, 50
@@ -124,26 +127,53 @@ def _names(recording: Recording) -> list[str]:
     return [SIGNAL if name == TABLE and recording.has(SIGNAL) else name for name in LOOP_CHANNELS]
 
 
+class SaturationWatch:
+    """Watches the current of a loop, as it comes, which has to stay below its limit.
+
+    A motion takes the mean over `MOTION_TIME`, and what is fed forward where the limit is reached:
+    where both are small, the loop shakes. `remedy` is for a motion that takes too much.
+    """
+
+    def __init__(self, recipe: Recipe, remedy: str) -> None:
+        self._recipe, self._remedy = recipe, remedy
+        self._largest = self._taken = 0.0
+
+    def add(self, time: Array, total: Array, modelled: Array) -> None:
+        """Add times, s, the set point of the amplifier and the feed-forward in it, A, (n,) each."""
+        if not len(time):
+            return
+        self._largest = max(self._largest, _largest(total))
+        limited = np.abs(total) >= AT_THE_LIMIT * self._recipe.rig.current_limit
+        parts = np.array_split(total, math.ceil(float(time[-1] - time[0]) / MOTION_TIME) or 1)
+        means = np.array([part.mean() for part in parts if part.size])
+        self._taken = max(self._taken, _largest(modelled[limited]), _largest(means))
+
+    def block(self, block: Mapping[str, Array]) -> None:
+        """Add a block of signals; raises as `require` does."""
+        self.add(*(block[name] for name in ("time", "current_setpoint", "feedforward_current")))
+        self.require()
+
+    def require(self) -> None:
+        """Raise `InsufficientDataError` where the current reached the limit of the rig."""
+        require_unlimited(self._largest, self._recipe, self._remedy, self._taken)
+
+
 def _checked(
     blocks: Iterable[tuple[Array, ...]], recipe: Recipe, remedy: str
 ) -> Iterator[LoopSignals]:
-    largest = controlled = farthest = 0.0
+    controlled = farthest = 0.0
+    watch = SaturationWatch(recipe, remedy)
     for time, total, modelled, learned, setpoint, encoder in blocks:
         rotor = encoder * (2 * math.pi / recipe.rig.encoder_counts)
         controller = total - modelled - learned
-        largest = max(largest, _largest(total))
+        watch.add(time, total, modelled)
         controlled = max(controlled, _largest(controller))
         # where the host runs the loop, the controller knew the sample before
         late = np.abs(np.diff(setpoint, prepend=setpoint[:1])) * _part_of_sample(time, recipe)
         farthest = max(farthest, float((np.abs(setpoint - rotor) - late).max(initial=0.0)))
         yield LoopSignals(time, setpoint, encoder, rotor, total, controller, modelled, learned)
-    require_tracking(
-        recipe,
-        largest_current=largest,
-        largest_controller=controlled,
-        distance=farthest,
-        remedy=remedy,
-    )
+    watch.require()
+    require_tracking(recipe, largest_controller=controlled, distance=farthest)
 
 
 def _part_of_sample(time: Array, recipe: Recipe) -> float:
@@ -161,21 +191,12 @@ def naming(recording: Recording) -> AbstractContextManager[None]:
     return errors.naming(f"recording {recording.name}")
 
 
-def require_tracking(
-    recipe: Recipe,
-    *,
-    largest_current: float,
-    largest_controller: float,
-    distance: float,
-    remedy: str,
-) -> None:
-    """Raise `InsufficientDataError` where the loop saturates or does not hold the rotor.
+def require_tracking(recipe: Recipe, *, largest_controller: float, distance: float) -> None:
+    """Raise `InsufficientDataError` where the loop does not hold the rotor.
 
-    `largest_current` is the largest current set point, A, `largest_controller` the controller's own
-    part of it, A, and `distance` the largest one of rotor and set point, rad. `remedy` is what to
-    do where the loop saturates.
+    `largest_controller` is the largest current of the controller's own, A, and `distance` the
+    largest one of rotor and set point, rad.
     """
-    require_unlimited(largest_current, recipe, remedy)
     allowed = UNEXPLAINED_DISTANCE + (
         recipe.rig.torque_constant * largest_controller / smallest_gain(recipe)
     )

@@ -54,8 +54,19 @@ def channels(*names: str) -> tuple[Channel, ...]:
     return tuple(Channel(name, *CHANNELS[name]) for name in names)
 
 
-def record(rig: Rig, task: Task, recorder: RunWriter, recording: str) -> None:
-    """Perform a task and stream its signals into a recording."""
+def record(
+    rig: Rig,
+    task: Task,
+    recorder: RunWriter,
+    recording: str,
+    watch: Callable[[Block], None] | None = None,
+) -> None:
+    """Perform a task and stream its signals into a recording.
+
+    `watch` gets each block once it is recorded, and ends the measurement where it raises an error.
+    """
     names = recorder.channel_names(recording)
     for block in rig.perform(task):
         recorder.append(recording, {name: block[name] for name in names})
+        if watch is not None:
+            watch(block)

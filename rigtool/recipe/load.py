@@ -168,7 +168,9 @@ def validate(
         _require_read(data, found)
         return found
     except ValidationError as error:
-        raise RecipeError(described_mistakes(error, model, text, name, kind, overrides)) from None
+        raise RecipeError(
+            described_mistakes(error, model, text, data, name, kind, overrides)
+        ) from None
 
 
 def _require_read(given: object, found: object) -> None:

@@ -296,7 +296,7 @@ class Mapping(Section):
                 names = ", ".join(n for n in SIGNALS if self.fixed_unit(n) == found)
                 raise ValueError(
                     f"signal {name} on a {self.rig.axis} axis is in {needed}, this is in {found}: "
-                    f"correct its unit, or its name; in {found} are {names or 'names of your own'}"
+                    f"correct its unit, or its name; in {found}: {names or 'names of your own'}"
                 )
         if self.signals and ("time" in self.signals) == (self.file.sampling_rate_hz is not None):
             raise ValueError("give either a signal `time` or sampling_rate_hz in [file]")

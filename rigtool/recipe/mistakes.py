@@ -53,27 +53,41 @@ def described_mistakes(
     error: ValidationError,
     model: type[BaseModel],
     text: str,
+    data: object,
     name: str,
     kind: str,
     overrides: Sequence[str],
 ) -> str:
     """Return all mistakes in a TOML `text` with their lines; `kind` is recipe or mapping.
 
-    `model` is what the text was read as, `overrides` are the `key=value` of `--set`.
+    `model` is what the `data` of the text were read as, `overrides` are the `key=value` of `--set`.
     """
     lines = _line_numbers(text)
     set_keys = {override.partition("=")[0].strip() for override in overrides}
-    mistakes = []
+    mistakes: dict[str, None] = {}  # a number that stands for both ends of a range is one mistake
     for item in error.errors():
-        path = tuple(part for part in item["loc"] if isinstance(part, str))
+        place = _as_given(item["loc"], data)
+        path = tuple(part for part in place if isinstance(part, str))
         # tables contradict each other: the mistake concerns the whole recipe
-        dotted = ".".join(str(part) for part in item["loc"]) if path else kind
+        dotted = ".".join(str(part) for part in place) if path else kind
         given = any(".".join(path[:end]) in set_keys for end in range(1, len(path) + 1))
         where = f"{name}, --set" if given else _where(name, path, lines)
-        mistakes.append(f"{where}: {dotted}: {_message(item, model)}{_meaning(model, item['loc'])}")
+        mistakes[f"{where}: {dotted}: {_message(item, model)}{_meaning(model, place)}"] = None
     count = len(mistakes)
     head = f"{name}: {count} mistake{'s' if count > 1 else ''} in the {kind}"
     return "\n  ".join([head, *mistakes])
+
+
+def _as_given(place: Sequence[int | str], data: object) -> tuple[int | str, ...]:
+    """Return a place of an error without the index of a range that was given as one number."""
+    for number, part in enumerate(place):
+        if isinstance(data, dict):
+            data = data.get(part, data)  # the tag of a table in a list is no key
+        elif isinstance(data, list):
+            data = data[part] if isinstance(part, int) and part < len(data) else None
+        elif isinstance(data, int | float) and isinstance(part, int):
+            return tuple(place[:number])
+    return tuple(place)
 
 
 def _message(item: ErrorDetails, model: type[BaseModel]) -> str:

@@ -82,8 +82,11 @@ def chosen_name(run: Run, name: str | None) -> str:
             return own
     known = [*names, *(part for own in names for part in own.split("/"))]
     hint = did_you_mean(name, known)
+    choice = [own for own in names if not own.startswith("recordings/")]
+    if run.recordings:
+        choice.append(f"recordings/NAME/SIGNAL (`rigtool info {run.path}` lists them)")
     raise UsageError(
-        f"{run.path}: has no part {name!r} to draw: choose one of {', '.join(names)}"
+        f"{run.path}: has no part {name!r} to draw: choose one of {', '.join(choice)}"
         f"{hint and f'; {hint}'}"
     )
 

@@ -10,6 +10,7 @@ import io
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from textwrap import wrap
 
 from rigtool import escapes
 from rigtool.quantity import format_number
@@ -155,7 +156,7 @@ def terminal_table(table: ReportTable) -> str:
         for line in grid
     ]
     rule = "-" * (sum(widths) + 2 * (len(widths) - 1))
-    note = [table.note] if table.note else []
+    note = wrap(table.note, max(80, len(rule)))
     return "\n".join([table.title, "", *lines[:2], rule, *lines[2:], *note]) + "\n"
 
 

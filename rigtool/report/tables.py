@@ -85,6 +85,10 @@ def force_table(run: Run, label: str, table: str = "loads") -> ReportTable:
     """
     attachment = attachment_of(run) or "instrument"
     published = published_table(attachment)
+    correction = "none" if table == UNCORRECTED_TABLE else correction_of(run)
+    note = _FULL_NOTE if correction == "full" else _zero_note(run)
+    if correction == "none" and attachment == "instrument":
+        note = f"{note} {_LOAD_NOTE}".lstrip()
     rows = [
         _force_row(load, published.row(load["applied_force"], load["applied_torque"]))
         for load in records(run.table(table))
@@ -95,9 +99,7 @@ def force_table(run: Run, label: str, table: str = "loads") -> ReportTable:
         title=f"Table {published.number}. {published.title} ({label})",
         columns=_FORCE_COLUMNS,
         rows=tuple(rows),
-        note=_zero_note(run)
-        if table == UNCORRECTED_TABLE or correction_of(run) != "full"
-        else _FULL_NOTE,
+        note=note,
     )
 
 
@@ -242,6 +244,12 @@ def correction_of(run: Run) -> str:
 _FULL_NOTE = (
     "Loads read from whole strokes, less the disturbance learned at known loads and the reading "
     "without load."
+)
+
+
+_LOAD_NOTE = (
+    "Standard uncertainties, in brackets, leave out what a load does to the reading: friction that "
+    "grows with it, and stretch. The error shows it; --correction full takes it off."
 )
 
 

@@ -69,9 +69,11 @@ def _results(
         if tolerance.beyond(np.array([one.value]), np.array([other.value])).any():
             line = f"{where}: {format_quantity(one, name)} | {format_quantity(other, name)}"
             yield line + _significance(one, other)
+            continue
         u_one, u_other = (np.array([math.nan if q.u is None else q.u]) for q in (one, other))
         if tolerance.beyond(u_one, u_other).any():
-            yield f"{where}: standard uncertainty {one.u} | {other.u}"
+            both = ("none" if q.u is None else f"{q.u:.3g} {q.unit}" for q in (one, other))
+            yield f"{where}: standard uncertainty {' | '.join(both)}"
 
 
 def _significance(a: Quantity, b: Quantity) -> str:
@@ -140,7 +142,8 @@ class _Worst:
 
     def line(self, where: str, unit: str) -> Iterator[str]:
         if self._count:
-            most = f"{self._most:.3g} {unit}" if math.isfinite(self._most) else "NaN or infinity"
+            finite = math.isfinite(self._most)
+            most = f"{self._most:.3g} {unit}".removesuffix(" 1") if finite else "NaN or infinity"
             yield f"{where}: {self._count} of {self._total} values differ, by up to {most}"
 
 

@@ -25,6 +25,7 @@ from tests.runfile.importers.test_epos import write as write_epos
 
 ROOT = Path(__file__).parents[2]
 FIXTURES = ROOT / "tests" / "fixtures"
+RECIPE = "rig.toml"
 
 
 SHORTER = {**MEASURING, "ilc-learn": SHORT["tables"]}
@@ -34,9 +35,8 @@ SHORTER = {**MEASURING, "ilc-learn": SHORT["tables"]}
 def lines_of_the_readme():
     """Return the lines that tests/test_pages.py runs, in a folder of their own."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    recipe = "recipes/briaire-2006.toml"
-    lines = text.partition(f"R={recipe}; mkdir -p build\n")[2].splitlines()
-    return {" ".join(line.split()).replace("$R", recipe).replace("build/", "") for line in lines}
+    lines = text.partition("R=recipes/briaire-2006.toml; mkdir -p build\n")[2].splitlines()
+    return {" ".join(line.split()).replace("$R", RECIPE).replace("build/", "") for line in lines}
 
 
 def examples():
@@ -44,7 +44,7 @@ def examples():
     elsewhere = lines_of_the_readme()
     for name in cli.COMMANDS:
         command = cli.rigtool.get_command(click.Context(cli.rigtool), name)
-        for line in (command.epilog or "").splitlines():
+        for line in (command.epilog or "").replace(" \\\n   ", "").splitlines():
             if line.strip().startswith("rigtool ") and line.strip() not in elsewhere:
                 yield line.strip()
 
@@ -53,6 +53,7 @@ def examples():
 def bench(tmp_path, monkeypatch):
     """Return a folder with the recipes, the stored runs and what else the examples name."""
     shutil.copytree(ROOT / "recipes", tmp_path / "recipes")
+    shutil.copy(ROOT / "recipes" / "briaire-2006.toml", tmp_path / RECIPE)
     for path in FIXTURES.glob("*.h5"):
         shutil.copy(path, tmp_path)
     shutil.copy(tmp_path / "kt.h5", tmp_path / "kt-again.h5")
@@ -182,7 +183,7 @@ def test_the_example_runs(bench, line, capsys, monkeypatch):
 def run_example(bench, line, capsys):
     _, name, *words = line.split()
     arguments = [found for word in words for found in (sorted(glob(word)) or [word])]
-    if "recipes/briaire-2006.toml" in arguments:
+    if RECIPE in arguments:
         for setting in SHORTER.get(name, ()):
             arguments += ["--set", setting]
     if "-o" in arguments and "--overwrite" not in arguments:

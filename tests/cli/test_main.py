@@ -111,7 +111,8 @@ def test_every_command_has_help_with_a_runnable_example(name):
     command = cli.rigtool.get_command(click.Context(cli.rigtool), name)
     assert command is not None
     text = command.get_help(click.Context(command, info_name=name))
-    examples = re.findall(rf"^ +rigtool {name} \S.*$", text, re.MULTILINE)
+    assert max(map(len, text.splitlines())) <= 80
+    examples = re.findall(rf"^ +rigtool {name} \S.*$", text.replace("\\\n", ""), re.MULTILINE)
     assert examples, f"the help of {name} has no example"
     for line in examples:
         # It parses: the options exist and the required ones are there.

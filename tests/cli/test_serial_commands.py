@@ -229,6 +229,13 @@ def test_devices(tmp_path, capsys):
     assert call(capsys, "devices", "--driver", "toaster")[0] == 2
 
 
+def test_a_seed_is_refused_where_the_recipe_describes_no_virtual_rig(tmp_path, capsys):
+    recipe = Path(RECIPE).with_name("moteus-r4.toml")
+    given = (recipe, "--seed", "3", "--dry-run", "-o", tmp_path / "x.h5")
+    code, _, err = call(capsys, "calibrate-kt", *given)
+    assert (code, "is on a line, not virtual" in err) == (2, True)
+
+
 def test_options_that_have_nothing_to_do_are_refused(tmp_path, capsys):
     output = ["-o", tmp_path / "x.h5"]
     code, _, err = call(capsys, "calibrate-kt", KT, "--dry-run", *output)

@@ -10,7 +10,9 @@ from rigtool.control.position_loop import position_loop
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments import controller_torque as module
 from rigtool.experiments.controller_torque import (
+    SMALLER_FORCE,
     UNEXPLAINED_DISTANCE,
+    SaturationWatch,
     _part_of_sample,
     _speed_of_noise,
     loop_blocks,
@@ -39,10 +41,8 @@ def test_the_smallest_gain_is_that_of_the_controller_below_its_crossover():
 def test_a_rotor_is_off_by_what_the_controllers_torque_explains(times, refused, controlled):
     allowed = UNEXPLAINED_DISTANCE + OWN.rig.torque_constant * controlled / smallest_gain(OWN)
     given = {
-        "largest_current": 0.1,
         "largest_controller": controlled,
         "distance": times * allowed,
-        "remedy": "less",
     }
     if not refused:
         require_tracking(OWN, **given)
@@ -61,6 +61,45 @@ def test_a_current_is_at_the_limit_from_a_thousandth_below_it(sign):
     assert usual_current(sign * np.repeat([1.0, 2.0, -3.0, 4.0], 50)) == pytest.approx(2.5)
     assert usual_current(np.empty(0)) == 0
     assert usual_current(np.array([sign * 3.0])) == pytest.approx(3.0)
+
+
+LIMIT = OWN.rig.current_limit
+EVEN = 1e-3 * np.arange(1000)
+LOOP = "time", "current_setpoint", "feedforward_current"
+
+
+@pytest.mark.parametrize(
+    ("total", "modelled", "text"),
+    [
+        (np.where(EVEN < 0.8, 0.4 * LIMIT, LIMIT), 0.0, "move slower, or raise rig.current_limit"),
+        (LIMIT * np.sign(np.sin(2 * np.pi * 80 * EVEN)), 0.0, "the loop shakes"),
+        (np.where(np.abs(EVEN - 0.5) < 5e-3, LIMIT, 0.1), 0.8 * LIMIT, "or raise"),
+        (np.where(np.abs(EVEN - 0.5) < 5e-3, LIMIT, 0.1), 0.1 * LIMIT, "the loop shakes"),
+    ],
+)
+def test_what_takes_the_current_is_told_from_a_loop_that_shakes(total, modelled, text):
+    """A load that stays, a loop at 80 Hz, a short turn that feed-forward asks for, and a peak that
+    nothing does; to and fro, whatever the direction, in blocks as in one."""
+    whole = np.concatenate([total, -total]), np.full(2000, modelled)
+    time = 1e-3 * np.arange(2000)
+    watch = SaturationWatch(OWN, SMALLER_FORCE)
+    watch.add(time, *whole)
+    with pytest.raises(InsufficientDataError, match=text):
+        watch.require()
+    first = {name: part[:500] for name, part in zip(LOOP, (time, *whole), strict=True)}
+    parts = SaturationWatch(OWN, SMALLER_FORCE)
+    if np.abs(total[:500]).max() < LIMIT:
+        parts.block(first)
+        first = {name: part[500:] for name, part in zip(LOOP, (time, *whole), strict=True)}
+    with pytest.raises(InsufficientDataError, match=text):
+        parts.block(first)
+
+
+def test_a_current_below_the_limit_is_no_reason_to_stop():
+    watch = SaturationWatch(OWN, SMALLER_FORCE)
+    watch.add(EVEN[:0], EVEN[:0], EVEN[:0])
+    watch.add(EVEN, np.full(1000, 0.998 * LIMIT), EVEN)
+    watch.require()
 
 
 @pytest.mark.parametrize(("every", "part"), [(1, 1.0), (4, 0.25)])
@@ -86,17 +125,15 @@ def test_signals_are_checked_over_all_blocks(monkeypatch):
     recording = SimpleNamespace(blocks=lambda *names: iter(blocks), has=lambda name: False)
     found = list(loop_blocks(recording, OWN))
     assert len(found) == 3
-    far, largest, controlled = 0.0, 0.0, 0.0
+    far, controlled = 0.0, 0.0
     for own, (_, total, modelled, learned, setpoint, encoder) in zip(found, blocks, strict=True):
         np.testing.assert_allclose(own.controller, total - modelled - learned)
         rotor = encoder / OWN.rig.encoder_counts * 2 * math.pi
         np.testing.assert_allclose(own.rotor, rotor)
-        largest = max(largest, np.abs(total).max())
         controlled = max(controlled, np.abs(own.controller).max())
         for k in range(40):
             way = abs(setpoint[k] - setpoint[k - 1]) if k else 0.0
             far = max(far, abs(setpoint[k] - rotor[k]) - way / every)
-    assert given["largest_current"] == pytest.approx(largest)
     assert given["largest_controller"] == pytest.approx(controlled)
     assert given["distance"] == pytest.approx(far)
 

@@ -44,6 +44,20 @@ def test_what_is_expected_is_said_in_words_of_the_recipe(override, message):
     assert "Input should" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("given", "places"),
+    [("5000", ["force"]), ("[5000, 5000]", ["force.0", "force.1"]), ("[1, 5000]", ["force.1"])],
+)
+def test_a_number_that_stands_for_a_range_is_one_mistake(given, places):
+    contact = f'{{kind="pulse", at=[0], force={given}}}'
+    with pytest.raises(RecipeError) as caught:
+        parse_recipe(TEXT, "r.toml", [f"virtual.contact=[{contact}]"])
+    first, *lines = str(caught.value).splitlines()
+    assert re.findall(r"pulse\.(\S+): must be at most 1000, got 5000", str(caught.value)) == places
+    assert len(lines) == len(places)
+    assert first == f"r.toml: {len(places)} mistake{'s'[: len(places) - 1]} in the recipe"
+
+
 @pytest.mark.parametrize("key", ["", ".rig", "rig.", "rig..name", " "])
 def test_a_setting_without_a_key_is_shown_as_it_was_given(key):
     with pytest.raises(UsageError, match=re.escape(f"--set '{key}=3': expected key=value")):

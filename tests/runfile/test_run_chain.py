@@ -176,6 +176,10 @@ def test_a_run_does_not_differ_from_itself(tmp_path):
             {"results": lambda r: r.update(torque_constant=Quantity(0.0458, "V s", 4e-5, 12.0))},
             "results/torque_constant: unit N m/A | V s",
         ),
+        (
+            {"results": lambda r: r.update(torque_constant=Quantity(0.0458, "N m/A", 3e-5, 12.0))},
+            "results/torque_constant: standard uncertainty 4e-05 N m/A | 3e-05 N m/A",
+        ),
         ({"results": lambda r: r.pop("arm_length")}, "results/arm_length: only in the first"),
         (
             {"results": lambda r: r.update(new=Quantity(1.0, "1", 1.0))},

@@ -34,8 +34,8 @@ def command(path: str, name: str | None, output: str | None) -> None:
     """Draw a table, a signal or a figure of a run.
 
     NAME is a table, a recording or one of its signals, or a figure of the report (figure-30);
-    without it, the first table is drawn. For an unknown NAME, the message lists the names in the
-    run.
+    without it, the first table is drawn. For an unknown NAME, the message lists tables and figures
+    of the run.
     """
     from pathlib import Path
 

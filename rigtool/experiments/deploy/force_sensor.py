@@ -215,7 +215,7 @@ def _states(instrument: SensorProperties) -> dict[str, Number]:
     cold, warm = np.clip(reach.temperature_degc, -1e4, 1e4)
     return {
         "sliding": motion_states.SLIDING_DEFLECTION,
-        "speed_limit": motion_states.LARGEST_LEARNED_RATIO * reach.speed,
+        "speed_limit": motion_states.FASTEST_LEARNED_RATIO * reach.speed,
         "slow": reach.slow,
         "crawling": instrument.judge(causal=True).crawling,
         "torque_limit": motion_states.LARGEST_LEARNED_RATIO * reach.torque,

@@ -37,15 +37,17 @@ SPEED_TIME = 0.05
 SLIDING_DEFLECTION = 0.9
 """Part of its deflection at which friction is that of sliding."""
 
-LARGEST_LEARNED_RATIO = 1.1
-"""Multiple of the learned speed and torque up to which values are given."""
+LARGEST_LEARNED_RATIO, FASTEST_LEARNED_RATIO = 1.1, 1.100017
+"""Multiples of the learned torque and speed up to which values are given; that of speed is a little
+more than 1.1, so that rounding does not decide where it is a whole number of counts."""
 
 CREEP_SPEED_RATIO = 0.4999
 """Part of the slowest speed learned under load, below which a sliding rotor creeps. It is a little
 less than half, so that rounding does not decide at half of a round speed."""
 
-BEYOND_ANGLE = 0.01
-"""Part of the range of angles by which values are given beyond it, on both sides."""
+BEYOND_ANGLE = 0.010017
+"""Part of the range of angles by which values are given beyond it, on both sides: a little more
+than a hundredth, for the same reason."""
 
 
 class State(IntEnum):
@@ -93,7 +95,7 @@ class Reach:
         found: NDArray[np.bool_] = (
             (angle < low - margin)
             | (angle > high + margin)
-            | (np.abs(speed) > LARGEST_LEARNED_RATIO * self.speed)
+            | (np.abs(speed) > FASTEST_LEARNED_RATIO * self.speed)
             | (np.abs(torque) > LARGEST_LEARNED_RATIO * self.torque)
             | (temperature_degc < cold)
             | (temperature_degc > warm)

@@ -13,6 +13,10 @@ beta ~ N(0, A^2 / 2), as in `power_up`. What touches makes cells as far off as `
 ones, is found for each o by expectation and maximisation (A. P. Dempster, N. M. Laird, D. B. Rubin,
 J. R. Stat. Soc. B 39(1) 1977; its bound in R. M. Neal, G. E. Hinton, Learning in Graphical Models,
 1998, is the likelihood of o). All of this is linear for one o, so that o alone is searched.
+
+Beyond the learned angles the learned coefficients leave F and R open, so that a zero by which a
+tissue at the end of the stroke lies there explains it. The cells that o leaves within the learned
+angles have to show o by themselves.
 """
 
 from __future__ import annotations
@@ -28,7 +32,7 @@ from rigtool.experiments.force_model.model import Kind, wave
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.experiments.force_sensor.drawn_ripple import UNCERTAIN_SHARE
 from rigtool.experiments.force_sensor.unknown_friction import ANGLE_CELLS, FEWEST_CELLS, Passes
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, Mask
 
 FARTHEST, PLACES, PARTS = 0.5, 43, 4
 """Largest o, in the learned range of angles, and part of the cells that were then not learned: with
@@ -101,7 +105,7 @@ def encoder_zero(
     unmoved = logs[PLACES // 2] + math.log(UNMOVED)
     best = places[np.argmax(logs)]
     far = np.abs(places - best) > 2.001 * step
-    near = best + step / PARTS * np.arange(-2 * PARTS, 2 * PARTS + 1)
+    near = best + step * ((np.arange(5 * PARTS) + 0.5) / PARTS - 2.5)
     fine = [search.odds(place) - math.log(PARTS) for place in near]
     places, logs = np.concatenate([places[far], near]), np.concatenate([logs[far], fine])
     logs += math.log((1 - UNMOVED) / PLACES)
@@ -113,6 +117,10 @@ def encoder_zero(
     if moved == 0 or unmoved > 1 - CERTAIN or u > LARGEST_U * (reach[1] - reach[0]):
         return None
     if not search.shows(search.likelihood(moved)[1]):
+        return None
+    within = _Search(model, reach, direction, np.where(search.learned_at(moved), torque, math.nan))
+    gained = ROW_EVIDENCE * (within.likelihood(moved)[0] - within.likelihood(0.0)[0])
+    if gained < math.log(CERTAIN / (1 - CERTAIN)) + math.log(UNMOVED / (1 - UNMOVED)):
         return None
     torques = np.array([search.mean(place) for place in places])
     off = float(np.sqrt(np.mean(odds @ (torques - search.mean(moved)) ** 2)))
@@ -173,11 +181,16 @@ class _Search:
 
     def odds(self, moved: float) -> float:
         """Return the logarithm of the probability of o, but for what is the same for all."""
-        angle = self._angle[np.unique(self._cell)] - moved
-        beyond = float(np.mean((angle < self._angle[0]) | (angle > self._angle[-1])))
+        beyond = float(np.mean(~self.learned_at(moved)[np.unique(self._cell)]))
         if beyond > FARTHEST:
             return -math.inf
         return ROW_EVIDENCE * self.likelihood(moved)[0] - BEYOND * beyond
+
+    def learned_at(self, moved: float) -> Mask:
+        """Return which cells (cells,) are learned ones with another zero, too."""
+        angle = self._angle - moved
+        found: Mask = (angle >= self._angle[0]) & (angle <= self._angle[-1])
+        return found
 
     def mean(self, moved: float) -> Array:
         """Return the torque that another zero makes of the learned friction, (cells,), N m."""

@@ -10,7 +10,7 @@ from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_sensor.encoder_zero import EncoderZero
 from rigtool.experiments.force_sensor.procedure_calibration import changes, torque_per_current
-from rigtool.experiments.force_sensor.results_over_time import Recorded
+from rigtool.experiments.force_sensor.results_recordings import Recorded
 from rigtool.experiments.force_sensor.unknown_friction import (
     DOUBTED,
     FEWEST_PASSES,
@@ -21,6 +21,7 @@ from rigtool.experiments.force_sensor.unknown_friction import (
     unknown_friction,
     unknown_share,
 )
+from rigtool.experiments.force_sensor.unknown_inertia import UnknownInertia, unknown_inertia
 from rigtool.runfile import Run
 
 HAND_PART_OF_FRICTION = 0.5
@@ -71,6 +72,9 @@ def of_this_instrument(
     if zero is not None:
         by = math.hypot(by, zero.spread)
         notes.append(_of_zero(zero, tables))
+    if (heavier := unknown_inertia([part.turns for r in read for part in r.parts])) is not None:
+        by = math.hypot(by, heavier.torque)
+        notes.append(_of_inertia(heavier, tables))
     notes += _of_loads(forms, hand, model, kt)
     if found is None:
         notes.append(
@@ -104,6 +108,15 @@ def _of_zero(zero: EncoderZero, tables: Run) -> str:
         f"motor more than when {tables.path} was learned, by friction and ripple along the angle: "
         "torque is read with this taken off, what --stream and --live show is not; zero the "
         "encoder where it was zeroed then"
+    )
+
+
+def _of_inertia(found: UnknownInertia, tables: Run) -> str:
+    return (
+        f"at both ends of the motion a torque of {found.torque * 1e3:.3g} mN m goes with the "
+        f"acceleration, as an inertia of {found.inertia * 1e6:.3g} kg mm2 takes it that hangs at "
+        f"the output and was not learned: u is wider by this torque; a mass hangs there, or "
+        f"{tables.path} was learned with less inertia: learn again"
     )
 
 

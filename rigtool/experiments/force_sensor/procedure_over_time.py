@@ -37,7 +37,7 @@ from rigtool.experiments.force_sensor.procedure_reading import (
     read_recording,
     require_interval,
 )
-from rigtool.experiments.force_sensor.results_over_time import Recorded, force_outcome
+from rigtool.experiments.force_sensor.results_recordings import Recorded, force_outcome
 from rigtool.experiments.force_sensor.stretch import shortest_stretch
 from rigtool.experiments.learning.stored_table import feedforward_from, require_rig
 from rigtool.experiments.outcome import Outcome

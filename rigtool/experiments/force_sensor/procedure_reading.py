@@ -17,10 +17,8 @@ from rigtool.experiments.force_filter.motion_states import (
 )
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.steps import unbroken
-from rigtool.experiments.force_sensor.results_over_time import (
-    Recorded,
-    TorqueRows,
-)
+from rigtool.experiments.force_sensor.results_over_time import TorqueRows
+from rigtool.experiments.force_sensor.results_recordings import Recorded
 from rigtool.experiments.force_sensor.sensor import SensorProperties
 from rigtool.experiments.force_sensor.stretch import Stretch, shortest_stretch
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at

@@ -19,20 +19,17 @@ from rigtool.experiments.force_filter.accuracy import (
     by_band_and_state,
 )
 from rigtool.experiments.force_filter.motion_states import (
-    CREEPING_KIND,
     STATE_NAMES,
-    Reach,
     State,
     States,
 )
-from rigtool.experiments.force_model.contacts import FALSE_ALARMS, JUMP_WINDOW, Contact, MotionKind
+from rigtool.experiments.force_model.contacts import Contact
 from rigtool.experiments.force_sensor.response import Spectra, amplitude_bandwidth
 from rigtool.experiments.force_sensor.signal_faults import SignalFault
 from rigtool.experiments.force_sensor.unknown_friction import Passes
-from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.force_sensor.unknown_inertia import Turns
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.quantity import Quantity
-from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Table
 
 ROWS_PER_PERIOD = 20 / 3
@@ -48,7 +45,7 @@ class TorqueRows:
     the states REVERSED and STILL is the middle of a dead band, its u that of a rectangular
     distribution (GUM 4.3.7). `passes` show whether the tables are of this
     instrument: of the torque, and of what it was before another power-up's ripple was taken off.
-    `faults` are those of the signals."""
+    `turns` show whether inertia is that of the tables. `faults` are those of the signals."""
 
     name: str
     step_time: float
@@ -67,6 +64,7 @@ class TorqueRows:
     dead_bands: bool = False
     response: Spectra | None = None
     passes: tuple[Passes, ...] = ()
+    turns: Turns = field(default_factory=Turns)
     faults: tuple[SignalFault, ...] = ()
 
     @property
@@ -120,45 +118,6 @@ FORCE_SIGNALS = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Recorded:
-    """A recording by its stretches without gaps; `breaks` are between them, and `lost` s have no
-    torque: gaps, samples that are NaN, stretches that are too short."""
-
-    name: str
-    parts: tuple[TorqueRows, ...]
-    breaks: int
-    lost: float
-
-
-def force_outcome(
-    recordings: Sequence[Recorded], recipe: Recipe, reach: Reach, scales: Array, limits: Array
-) -> Outcome:
-    """Return tables, results and notes of the recordings of a run.
-
-    `scales` (kinds, 2) are those of the smoothed torque (`intervals`), `limits` (3, 2) the
-    thresholds by which contacts were looked for.
-    """
-    corner_hz = recipe.measure_force.motion.corner_hz
-    parts = [(number, part) for number, r in enumerate(recordings) for part in r.parts]
-    rows = [part for _, part in parts]
-    results, tables = over_time_tables(
-        rows,
-        reach.torque,
-        corner_hz,
-        recipe.rig.load_arm,
-        numbers=[number for number, _ in parts],
-        lost=sum(r.lost for r in recordings),
-    )
-    if np.isfinite(limits).any():
-        tables |= (events := _events(parts))
-        count = events["events"].shape[0] if events else 0
-        results["contacts"] = Quantity(float(count), "1", reason="counted")
-    known = tables["force"]["state"] != State.OUTSIDE
-    notes = [*_notes(recordings, known, reach, scales), *_contact_notes(limits)]
-    return Outcome(results, tables, tuple(notes))
-
-
 def over_time_tables(
     rows: Sequence[TorqueRows],
     largest: float,
@@ -195,13 +154,13 @@ def _results(
     results = {"valid_share": Quantity(share, "1", reason="counted")}
     if known.any():
         torque, u = whole.torque[known], whole.u[known]
-        peak = _peak(torque, u)
+        peak = peak_row(torque, u)
         results["peak_torque"] = Quantity(float(torque[peak]), "N m", float(u[peak]))
         results["mean_torque"] = Quantity(float(torque.mean()), "N m", float(u.mean()))
     return results
 
 
-def _peak(torque: Array, u: Array) -> int:
+def peak_row(torque: Array, u: Array) -> int:
     """Return the row with the largest magnitude that the torque surely has, by its 95 % interval:
     the largest torque alone may be that of a row of large u, such as the last ones."""
     return int(np.argmax(np.abs(torque) - COVERAGE_FACTOR * u))
@@ -320,98 +279,3 @@ def _cells(prefix: str, cells: list[list[Accuracy]]) -> dict[str, Column]:
         f"{prefix}coverage_95": Column(values("coverage"), "1", "share within the 95 % interval"),
         f"{prefix}share": Column(values("share"), "1", "of the samples with a value"),
     }
-
-
-def _events(parts: Sequence[tuple[int, TorqueRows]]) -> dict[str, Table]:
-    """Return the table of contacts of numbered stretches; none without contacts.
-
-    Contacts are found by samples so far. A torque that the whole recording does not distinguish
-    from zero there is none.
-    """
-    found: list[tuple[float, ...]] = []
-    for number, row in parts:
-        known, step_time = row.states != State.OUTSIDE, row.step_time / row.every
-        for contact in row.contacts:
-            span = slice(contact.begin // row.every, contact.end // row.every + 1)
-            torque, u = row.torque[span][known[span]], row.u[span][known[span]]
-            if not len(torque):
-                continue
-            peak = _peak(torque, u)
-            if abs(torque[peak]) <= COVERAGE_FACTOR * u[peak]:
-                continue
-            times = row.time[0] + step_time * np.array([contact.begin, contact.found, contact.end])
-            found.append((number, *times, torque[peak], u[peak], torque.mean(), u.mean()))
-    if not found:
-        return {}
-    numbers = np.array(found).T
-    u_time = np.full(len(found), JUMP_WINDOW / math.sqrt(12))
-    columns = {
-        "event": Column(np.arange(len(found)), "1"),
-        "recording": Column(numbers[0].astype(np.int32), "1", "of this run, in order"),
-        "start": Column(numbers[1], "s", "bench clock, where the torque passes half of it"),
-        "start_u": Column(u_time, "s", "standard uncertainty of start"),
-        "found": Column(numbers[2], "s", "first time at which samples up to it show the contact"),
-        "end": Column(
-            numbers[3], "s", "bench clock, where the torque falls below half of its mean"
-        ),
-        "end_u": Column(u_time, "s", "standard uncertainty of end"),
-        "peak": Column(numbers[4], "N m", "torque whose interval is farthest from zero"),
-        "peak_u": Column(numbers[5], "N m", "standard uncertainty of peak"),
-        "mean": Column(numbers[6], "N m", "mean torque from start to end"),
-        "mean_u": Column(numbers[7], "N m", "standard uncertainty of mean"),
-    }
-    return {"events": Table(("event",), columns, "mean", "contacts found in the torque over time")}
-
-
-def _contact_notes(limits: Array) -> list[str]:
-    """State by which jumps contacts are found."""
-    names = {
-        MotionKind.STEADY: "in steady motion",
-        MotionKind.REVERSED: "after reversals",
-        MotionKind.STILL: "at rest",
-    }
-    jumps = limits[:, 0] * 1e3
-    known = [f"{jumps[m]:.2g} mN m {names[m]}" for m in MotionKind if np.isfinite(jumps[m])]
-    if not known:
-        return ["contacts are not looked for: the tables hold no recordings without load"]
-    return [
-        f"contacts are found by torques that rise within {JUMP_WINDOW * 1e3:.0f} ms by more than "
-        f"{', '.join(known)}: the tables show such errors less than once in "
-        f"{1 / max(map(sum, FALSE_ALARMS)) / 3600:.0f} h"
-    ]
-
-
-def _notes(
-    recordings: Sequence[Recorded], known: NDArray[np.bool_], reach: Reach, scales: Array
-) -> list[str]:
-    low, high = reach.angle
-    named = [*((s, STATE_NAMES[s]) for s in JUDGED_STATES), (CREEPING_KIND, "creeping")]
-    factors = ", ".join(
-        f"{name} {scales[s, 0]:.2f} and {100 * scales[s, 1]:.1f} %" for s, name in named
-    )
-    notes = [
-        f"torque was learned up to {reach.torque * 1e3:.4g} mN m, from {low:.4g} to {high:.4g} rad "
-        f"of the motor, up to {reach.speed:.4g} rad/s; outside there is no value",
-        "u is the filter's deviation times a factor, and a share of the torque, as errors under "
-        f"the known loads show: {factors}",
-    ]
-    if (outside := 1 - known.mean()) > 0:
-        limit = any(part.limited for r in recordings for part in r.parts)
-        why = ", or about a current at its limit" if limit else ""
-        notes.append(
-            f"no value in {100 * outside:.1f} % of the time: outside what was learned{why}"
-        )
-    if lost := sum(r.lost for r in recordings):
-        notes.append(
-            f"samples are missing or NaN: {lost:.3g} s have no value, and the filter begins anew "
-            f"behind them (gaps between samples: {sum(r.breaks for r in recordings)})"
-        )
-    if limited := sum(part.limited for r in recordings for part in r.parts):
-        notes.append(f"samples with a current at its limit: {limited}; no value there")
-    return notes + [
-        f"recording {r.name}: {fault.text}"
-        for r in recordings
-        for p in r.parts
-        for fault in p.faults
-        if fault.text
-    ]

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rigtool.experiments.force_filter.motion_states import LARGEST_LEARNED_RATIO
+from rigtool.experiments.force_filter.motion_states import FASTEST_LEARNED_RATIO
 from rigtool.experiments.force_model.steps import NO_CURRENT
 from rigtool.experiments.force_sensor.sensor import SensorProperties
 from rigtool.numerics.arrays import Array, Mask
@@ -88,7 +88,7 @@ class SignalWatch:
         self._braked = (plant.coulomb + plant.housing_friction) / 2
         self._helped = reach.torque / plant.torque_factor / 2
         self._turn, self._commanded = own.count, commanded
-        fastest = LARGEST_LEARNED_RATIO * reach.speed * own.interval / own.count
+        fastest = FASTEST_LEARNED_RATIO * reach.speed * own.interval / own.count
         self._leap = max(LEAP_RATIO * fastest, LEAP_COUNTS)
         self._constant, self._interval = own.torque_constant, own.interval
         self._size = max(1, round(WINDOW_TIME / own.interval))

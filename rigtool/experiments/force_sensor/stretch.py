@@ -39,6 +39,7 @@ from rigtool.experiments.force_sensor.results_over_time import (
 from rigtool.experiments.force_sensor.sensor import Sensed, Sensor, SensorProperties
 from rigtool.experiments.force_sensor.signal_faults import SignalWatch
 from rigtool.experiments.force_sensor.unknown_friction import Passes
+from rigtool.experiments.force_sensor.unknown_inertia import Turns
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.lowpass import delayed, lowpass
 from rigtool.numerics.memory import give_back
@@ -230,7 +231,9 @@ class Stretch:
             causal_states[fault.within(since[rows], causal=True)] = State.OUTSIDE
         inside = states != State.OUTSIDE
         sliding = np.isin(states[rows], (State.AGAINST, State.WITH))
-        at = step_time * every, self._taken("passed"), sliding, self._instrument.reach.angle
+        passed = self._taken("passed")
+        at = step_time * every, passed, sliding, self._instrument.reach.angle
+        output = passed / self._instrument.model.learned.known.angle_ratio
 
         def judged_rows(values: Array) -> Array:
             return np.where(judged[rows], values[rows], np.nan)  # the steps' memory goes
@@ -261,6 +264,7 @@ class Stretch:
                 else Spectra.of(torque, reference, inside & judged, rate),
                 faults=faults,
                 passes=tuple(Passes.of(*at, t, u) for t in (torque[rows], torque[rows] + ripple)),
+                turns=Turns.of(step_time * every, output, inside[rows], torque[rows], u),
             )
         ]
 

@@ -141,16 +141,15 @@ def _measure(
 def _recipe_of(procedure: Procedure, source: str, options: CommonOptions) -> tuple[Recipe, str]:
     """Return the recipe to measure with, and its text; `UsageError` for an option that does not go
     with its rig."""
-    overrides = list(options.overrides)
-    if options.seed is not None:
-        overrides.append(f"virtual.seed={options.seed}")
-    recipe, text = load_recipe(source, overrides)
+    recipe, text = load_recipe(source, options.overrides)
     _log.info("recipe %s, rig %s", source, recipe.rig.name)
+    on_line = recipe.rig.source == "serial"
+    if options.seed is not None:
+        if on_line:
+            raise UsageError(f"--seed {options.seed}: this recipe's rig is on a line, not virtual")
+        recipe = override_recipe(recipe, [f"virtual.seed={options.seed}"])
     if procedure.bare_motor:
         recipe = override_recipe(recipe, ["rig.attachment=pulley"])
-    on_line = recipe.rig.source == "serial"
-    if on_line and options.seed is not None:
-        raise UsageError(f"--seed {options.seed}: this recipe's rig is on a line, not virtual")
     if options.spy is not None and not on_line:
         raise UsageError(f"--spy {options.spy}: this recipe's rig is virtual, there is no line")
     return recipe, text

@@ -19,12 +19,8 @@ import numpy as np
 from rigtool.errors import InsufficientDataError, RunFileError
 from rigtool.experiments.imported import moves, place, position_of, rig_property, rotary_recordings
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.torque_constant.current_levels import (
-    Course,
-    CurrentFit,
-    find_points,
-    fit_constant,
-)
+from rigtool.experiments.torque_constant.current_levels import CurrentFit, fit_constant
+from rigtool.experiments.torque_constant.current_points import Course, find_points
 from rigtool.experiments.torque_constant.measured_levels import (
     common_levels,
     find_levels,

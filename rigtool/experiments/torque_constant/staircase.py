@@ -91,20 +91,12 @@ def plateaus_of_set_point(
     if rotor_angle is not None:
         _, angle = require_signals(1, time=t, rotor_angle=rotor_angle)
     sample = require_rising(t)
-    span = float(np.ptp(setpoint))
-    if span == 0:
-        raise InsufficientDataError(
-            f"the current set point is {setpoint[0] + 0.0:g} A throughout: a staircase is needed"
-        )
-    tolerance = LEVEL_TOLERANCE * span
     new_staircase = (np.diff(t) > 10 * sample + 0.5 * settle_time) | (np.abs(np.diff(angle)) > 0.01)
-    changes = new_staircase | (np.abs(np.diff(setpoint)) > tolerance)
-    starts = np.concatenate([[0], np.flatnonzero(changes) + 1])
+    starts, flat = _stretches(setpoint, new_staircase)
     number = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(t))))
     settled = t - t[starts][number] >= settle_time - 0.5 * sample
     counts = np.bincount(number, weights=settled)
-    flat = np.maximum.reduceat(setpoint, starts) - np.minimum.reduceat(setpoint, starts)
-    keep = (counts >= 3) & (flat <= 3 * tolerance)
+    keep = (counts >= 3) & flat
     if np.count_nonzero(keep) < MINIMUM_PLATEAUS:
         raise InsufficientDataError(
             f"the current set point has {np.count_nonzero(keep)} plateaus longer than the "
@@ -137,6 +129,23 @@ def plateaus_of_set_point(
         noise=_noise(newton, number, settled)[keep] * arm_length,
         readings=np.bincount(number)[keep].astype(np.float64),
     )
+
+
+def _stretches(setpoint: Array, ends: Mask) -> tuple[NDArray[np.intp], Mask]:
+    """Return where constant stretches of a set point (n,) start, and whether each is flat (k,).
+
+    Stretches also end where `ends` (n - 1,) is true.
+    """
+    span = float(np.ptp(setpoint))
+    if span == 0:
+        raise InsufficientDataError(
+            f"the current set point is {setpoint[0] + 0.0:g} A throughout: a staircase is needed"
+        )
+    tolerance = LEVEL_TOLERANCE * span
+    changes = ends | (np.abs(np.diff(setpoint)) > tolerance)
+    starts = np.concatenate([[0], np.flatnonzero(changes) + 1])
+    height = np.maximum.reduceat(setpoint, starts) - np.minimum.reduceat(setpoint, starts)
+    return starts, height <= 3 * tolerance
 
 
 def pool(parts: Sequence[Plateaus]) -> Plateaus:

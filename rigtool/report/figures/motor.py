@@ -16,16 +16,7 @@ def draw_torque_constant(run: Run, table: Table) -> style.Figure:
     """Fig. 20: torque constant against motor temperature, with the fitted line."""
     degc, constant = table["temperature"], table["torque_constant"]
     figure, axes = style.one_panel("motor temperature [°C]", "torque constant [mN m/A]")
-    axes.errorbar(
-        degc,
-        MILLI * constant,
-        MILLI * table["u"],
-        fmt="o",
-        markersize=4,
-        capsize=3,
-        color=style.BLUE,
-        label="measured, with standard uncertainty",
-    )
+    style.points(axes, degc, MILLI * constant, 2 * MILLI * table["u"], "measured, k = 2")
     at_20 = run.result("torque_constant").value
     slope = run.result("torque_constant_temperature_coefficient").value
     ends = np.array([degc.min(), degc.max()])

@@ -72,14 +72,11 @@ def draw_open_loop(run: Run, measured: Table, sensitivities: Table) -> style.Fig
     """Fig. 76: the open loop and its sensitivities."""
     figure, magnitude, phase = _bode()
     table = _within(measured, sensitivities)
-    for name, colour, label in (
-        ("open_loop", style.BLUE, "open loop"),
-        ("t", style.ORANGE, "T"),
-        ("s", style.GREEN, "S"),
-    ):
-        frequency = table["frequency"]
-        magnitude.plot(frequency, decibel(table[f"{name}_magnitude"]), color=colour, label=label)
-        phase.plot(frequency, degrees(table[f"{name}_phase"]), color=colour)
+    frequency = table["frequency"]
+    names = {"open_loop": "open loop", "t": "T", "s": "S"}
+    for (name, label), dashes in zip(names.items(), style.DASHES, strict=False):
+        magnitude.plot(frequency, decibel(table[f"{name}_magnitude"]), ls=dashes, label=label)
+        phase.plot(frequency, degrees(table[f"{name}_phase"]), ls=dashes)
     style.legend_above(magnitude, 3)
     return figure
 
@@ -92,10 +89,11 @@ def draw_learning_filter(run: Run, whole: Table) -> style.Figure:
     table = _positive(whole, 0.25 * float(whole["frequency"][-1]))
     frequency = table["frequency"]
     magnitude.plot(frequency, decibel(table["t_magnitude"]), color=style.BLUE, label="T")
-    magnitude.plot(frequency, decibel(table["l_magnitude"]), color=style.ORANGE, label="L")
+    magnitude.plot(frequency, decibel(table["l_magnitude"]), color=style.ORANGE, ls="--", label="L")
     phase.plot(frequency, degrees(table["t_phase"]), color=style.BLUE)
     advanced = "L with its phase advance"
-    phase.plot(frequency, degrees(table["l_shifted_phase"]), color=style.ORANGE, label=advanced)
+    shifted = degrees(table["l_shifted_phase"])
+    phase.plot(frequency, shifted, color=style.ORANGE, ls="--", label=advanced)
     phase.plot(
         frequency, degrees(table["l_phase"]), color=style.ORANGE, ls=":", label="L without it"
     )

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from itertools import cycle
+
 import numpy as np
 
 from rigtool.report.figures import style
@@ -20,13 +23,7 @@ BAR_ORDERS = 8
 @plot(23, "fft-ripple", "Ripple after power off and on", "power_waveforms")
 def draw_power_cycles(run: Run, table: Table) -> style.Figure:
     """Fig. 23: ripple before and after the amplifier was switched off and on."""
-    figure, axes = style.one_panel(COUNTS_LABEL, TORQUE_LABEL)
-    position, waves = _waveforms(run, table)
-    for number, wave in enumerate(waves):
-        axes.plot(position, wave, label=f"start-up {number + 1}")
-    style.legend_above(axes, 4)
-    _one_turn(axes, position)
-    return figure
+    return _by_condition(run, table, (f"start-up {n + 1}" for n in range(table.shape[0])))
 
 
 @plot(24, "fft-ripple", "Ripple of single revolutions", "revolutions")
@@ -42,11 +39,15 @@ def draw_revolutions(run: Run, table: Table) -> style.Figure:
 @plot(25, "fft-ripple", "Ripple grows with motor current", "torque_waveforms")
 def draw_ripple_by_current(run: Run, table: Table) -> style.Figure:
     """Fig. 25: ripple at several constant torques, on one scale."""
+    return _by_condition(run, table, (f"at {MILLI * t:.4g} mN m" for t in table["torque"]))
+
+
+def _by_condition(run: Run, table: Table, labels: Iterable[str]) -> style.Figure:
     figure, axes = style.one_panel(COUNTS_LABEL, TORQUE_LABEL)
     position, waves = _waveforms(run, table)
-    for torque, wave in zip(table["torque"], waves, strict=True):
-        axes.plot(position, wave, label=f"at {MILLI * torque:.4g} mN m")
-    style.legend_above(axes)
+    for label, wave, dashes in zip(labels, waves, cycle(style.DASHES), strict=False):
+        axes.plot(position, wave, linestyle=dashes, label=label)
+    style.legend_above(axes, 4)
     _one_turn(axes, position)
     return figure
 

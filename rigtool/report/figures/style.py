@@ -1,7 +1,8 @@
 """Style of the figures, and their reproducible output as bytes.
 
 Without pyplot there is no global state and no window, and a user's matplotlibrc has no effect.
-Colours are those of Okabe and Ito (2008), distinct for the colour-blind and in grey.
+Colours are those of Okabe and Ito (2008), distinct for the colour-blind. In grey they are alike:
+lines that cross differ in their dashes.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ BLACK = "#000000"
 GREY = "#767676"
 BAND = "#EFEFEF"
 CYCLE = (BLUE, ORANGE, GREEN, PURPLE, YELLOW, SKY, BLACK)
+DASHES = ("-", "--", "-.", ":")
 COLOUR_MAP = "cividis"
 
 WIDTH = 6.3

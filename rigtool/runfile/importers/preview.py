@@ -29,7 +29,7 @@ from rigtool.runfile.importers.raw import Array, read_bytes
 PREVIEW_ROWS = 5
 """Rows of a file that are shown."""
 
-FIELD_WIDTH = 24
+FIELD_WIDTH = 25
 """Most characters of a field that are shown."""
 
 NAME_LINES = 2
@@ -121,7 +121,7 @@ def _columns(source: Path, mapping: Mapping | None) -> list[str]:
         return [f"{lines_of}, none of numbers; delimiter = {marks.delimiter!r}"]
     shown = [[str(number) for number in range(1, count + 1)]]
     shown += [
-        [field[:FIELD_WIDTH] for field in row]
+        [_short(field) for field in row]
         for row in [*rows[max(0, begin - NAME_LINES) : begin], *rows[begin : begin + PREVIEW_ROWS]]
         if len(row) == count
     ]
@@ -148,7 +148,7 @@ def _proposed(columns: Sequence[str], names: Texts[str, str]) -> list[str]:
     for index, column in enumerate(columns[:SHOWN_SIGNALS] or ["1"]):
         name, unit = (f"NAME{index + 1}", "UNIT") if index else ("time", "s")
         line = f'{name} = {{ column = {column}, unit = "{unit}" }}'
-        remark = names.get(column, "").strip()[:FIELD_WIDTH]
+        remark = _short(names.get(column, "").strip())
         lines.append(f"{line}  # {remark}" if remark else line)
     if len(columns) > SHOWN_SIGNALS:
         lines.append(f"# and so on: the file has {len(columns)} columns")
@@ -166,6 +166,10 @@ def _proposed(columns: Sequence[str], names: Texts[str, str]) -> list[str]:
         "or any other; UNIT is that of the file: ms, rpm, count, mA, N m. Leave out what is not",
         "needed.",
     ]
+
+
+def _short(field: str) -> str:
+    return field if len(field) <= FIELD_WIDTH else field[: FIELD_WIDTH - 1] + "…"
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:

@@ -39,7 +39,8 @@ def test_a_part_gets_its_own_file(run, tmp_path, monkeypatch, capsys):
 def test_a_name_that_is_not_there_lists_those_that_are(run, capsys):
     code, out, err = plotted(capsys, run, "figure-999")
     assert (code, out) == (2, "")
-    assert "choose one of tables/friction_model, tables/breakaway, recordings/" in err
+    assert "choose one of tables/friction_model, tables/breakaway, " in err
+    assert "recordings/NAME/SIGNAL (`rigtool info " in err
 
 
 @pytest.mark.parametrize(

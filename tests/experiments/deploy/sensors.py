@@ -59,6 +59,7 @@ LEARNED = SimpleNamespace(
     coefficient=np.array([*RIPPLE.values(), *GROWING.values()]),
     covariance=1e-8 * np.eye(len(SLIDING_PARAMETERS) + len(RIPPLE) + len(GROWING)),
     shape=SimpleNamespace(ripple_time=0.05),
+    known=SimpleNamespace(angle_ratio=0.85),
 )
 """Of the terms, those of the ripple that a power-up draws."""
 

@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from rigtool.experiments.force_filter.motion_states import Judge, Moments, Reach, State
+from rigtool.experiments.force_filter.motion_states import (
+    BEYOND_ANGLE,
+    FASTEST_LEARNED_RATIO,
+    SPEED_TIME,
+    Judge,
+    Moments,
+    Reach,
+    State,
+)
 
 COUNT, STEP = 1.6e-3, 1e-3
 REACH = Reach((-1.0, 2.0), 10.0, 50e-3, (20.0, 50.0))
@@ -80,3 +88,17 @@ def test_each_edge_of_what_was_learned_is_one():
     for row, (column, value) in enumerate(beyond):
         rows[row, column] = value
     assert reach.left_by(*rows.T).tolist() == [True] * len(beyond) + [False]
+
+
+@pytest.mark.parametrize("counts", [500, 1000, 4000, 10_000, 40_000])
+@pytest.mark.parametrize("ratio", [0.8, 0.85, 0.9, 1.0])
+def test_no_edge_of_what_was_learned_is_a_whole_number_of_counts(counts, ratio):
+    """At round speeds and angles: rounding would decide there, and C rounds otherwise. A step is
+    1 ms, and `SPEED_TIME` counts 50 of them."""
+    for speed in np.arange(1, 60) / 10:
+        way = FASTEST_LEARNED_RATIO * speed * ratio * counts * SPEED_TIME
+        assert abs(way - round(way)) > 1e-6 * way
+    for degrees in (45, 60, 90, 120, 135, 150, 180):
+        reach = degrees / 360 * ratio * counts
+        for edge in (BEYOND_ANGLE * reach, (1 + BEYOND_ANGLE) * reach):
+            assert abs(edge - round(edge)) > 1e-6 * edge

@@ -164,7 +164,10 @@ class Given:
         return self.height - ((moved - self.place) / self.spread) ** 2 / 2
 
     def likelihood(self, moved):
-        return 0.0, np.ones(4)
+        return 100.0 * (moved != 0), np.ones(4)
+
+    def learned_at(self, moved):
+        return np.ones(ANGLE_CELLS, dtype=bool)
 
     def shows(self, untouched):
         return True
@@ -187,15 +190,15 @@ def parts(cycles=4):
 
 
 @pytest.mark.parametrize("place", [0.401, -0.7, 1.1])
-@pytest.mark.parametrize("spread", [0.02, 0.05])
+@pytest.mark.parametrize("spread", [0.02, 0.05, 0.0636])
 def test_zero_and_its_uncertainty_are_moments_of_the_posterior(given, place, spread):
     """In whole counts; the torque's spread is that of the friction's slope."""
     given.place, given.spread = place, spread
     found = encoder_zero([parts()], model(), REACH, COUNT)
     assert found.moved == pytest.approx(place, abs=0.51 * COUNT + 0.01 * spread)
     assert found.moved / COUNT == pytest.approx(round(found.moved / COUNT), abs=1e-9)
-    assert found.u == pytest.approx(spread, rel=0.04)
-    assert found.spread == pytest.approx(5e-3 * spread, rel=0.05)
+    assert found.u == pytest.approx(spread, rel=0.01)
+    assert found.spread == pytest.approx(5e-3 * spread, rel=0.02)
 
 
 @pytest.mark.parametrize(("part", "found"), [(0.045, True), (0.055, False)])

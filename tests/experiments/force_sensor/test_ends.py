@@ -5,11 +5,8 @@ import pytest
 
 from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.force_model.contacts import Contact
-from rigtool.experiments.force_sensor.results_over_time import (
-    TorqueRows,
-    _events,
-    over_time_tables,
-)
+from rigtool.experiments.force_sensor.results_over_time import TorqueRows, over_time_tables
+from rigtool.experiments.force_sensor.results_recordings import _events
 from rigtool.experiments.force_sensor.stretch import held_lowpass, weight_ahead
 
 RATE, CORNER_HZ = 1000.0, 30.0

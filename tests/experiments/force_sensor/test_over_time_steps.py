@@ -18,13 +18,11 @@ from rigtool.experiments.force_sensor.response import (
     amplitude_bandwidth,
 )
 from rigtool.experiments.force_sensor.results_over_time import (
-    Recorded,
     TorqueRows,
-    _contact_notes,
-    _notes,
     over_time_tables,
     steps_of_a_row,
 )
+from rigtool.experiments.force_sensor.results_recordings import Recorded, _contact_notes, _notes
 from rigtool.experiments.force_sensor.signal_faults import SignalFault
 from rigtool.experiments.force_sensor.stretch import shortest_stretch
 from tests.experiments.deploy.sensors import instrument
@@ -148,6 +146,9 @@ def test_thresholds_of_contacts_are_noted_in_millinewton_metres():
     (note,) = _contact_notes(limits)
     assert "4.2 mN m in steady motion, 0.11 mN m at rest:" in note
     assert "within 60 ms" in note
+    assert "contacts that come more slowly are not looked for after reversals: " in note
+    (note,) = _contact_notes(np.full((3, 2), 3e-3))
+    assert "more slowly" not in note
     (note,) = _contact_notes(np.full((3, 2), np.inf))
     assert "not looked for" in note
 

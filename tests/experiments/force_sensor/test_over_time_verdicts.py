@@ -21,9 +21,10 @@ from rigtool.experiments.force_sensor.procedure_instrument import (
     of_this_instrument,
 )
 from rigtool.experiments.force_sensor.procedure_over_time import _require_values, reach_of
-from rigtool.experiments.force_sensor.results_over_time import Recorded
+from rigtool.experiments.force_sensor.results_recordings import Recorded
 from rigtool.experiments.force_sensor.signal_faults import SignalFault
 from rigtool.experiments.force_sensor.unknown_friction import UnknownFriction
+from rigtool.experiments.force_sensor.unknown_inertia import Turns
 from rigtool.experiments.outcome import Outcome
 from rigtool.recipe import load_recipe
 from tests.experiments.deploy.sensors import Model
@@ -38,7 +39,7 @@ class Part:
 
     def __init__(self, states=(), limited=0, faults=(), seen=None):
         self.states, self.limited, self.faults = np.array(states), limited, faults
-        self.passes, self.seen = ("with", "without"), seen
+        self.passes, self.seen, self.turns = ("with", "without"), seen, Turns()
 
     def widened(self, by, share):
         self.seen.append((by, share))

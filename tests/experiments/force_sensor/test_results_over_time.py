@@ -7,11 +7,8 @@ import pytest
 
 from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.force_model.contacts import JUMP_WINDOW, Contact
-from rigtool.experiments.force_sensor.results_over_time import (
-    TorqueRows,
-    _events,
-    over_time_tables,
-)
+from rigtool.experiments.force_sensor.results_over_time import TorqueRows, over_time_tables
+from rigtool.experiments.force_sensor.results_recordings import _events
 
 STEP, EVERY, ROWS = 5e-3, 5, 400
 

@@ -7,15 +7,8 @@ import pytest
 from scipy.stats import t as student
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.torque_constant.current_levels import (
-    Course,
-    Points,
-    _Column,
-    _Fit,
-    _one_way,
-    find_points,
-    fit_constant,
-)
+from rigtool.experiments.torque_constant.current_levels import _Column, _Fit, fit_constant
+from rigtool.experiments.torque_constant.current_points import Course, Points, _one_way, find_points
 
 PER_LEVEL = 60
 

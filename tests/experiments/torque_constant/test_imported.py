@@ -12,7 +12,7 @@ from rigtool.errors import RunFileError
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
 from rigtool.experiments.torque_constant import imported
-from rigtool.experiments.torque_constant.current_levels import Course
+from rigtool.experiments.torque_constant.current_points import Course
 from rigtool.experiments.torque_constant.imported import _median_duration, _plateaus, _results
 from rigtool.experiments.torque_constant.procedure import PROCEDURE
 from rigtool.experiments.torque_per_ampere import torque_per_ampere

@@ -28,12 +28,13 @@ from rigtool.experiments.force_model.procedure_learning import (
 from rigtool.experiments.force_model.records import Record
 from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
 from rigtool.experiments.learning.implementations.d_tendon import stroke_notes, tendon_results
+from rigtool.experiments.learning.implementations.signals import record_loop
 from rigtool.experiments.learning.stored_table import feedforward, friction_results
 from rigtool.experiments.load_disturbance.reading import LoadedPair, read_loads
 from rigtool.experiments.load_disturbance.sliding import DisturbanceGrid, grid_of
 from rigtool.experiments.load_disturbance.stored import grid_tables
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.procedure import channels, record
+from rigtool.experiments.procedure import channels
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import REFERENCE_DEGC, Quantity, scattered
@@ -109,13 +110,14 @@ class KnownLoads(LimitedAngle):
                 settings.angle, settings.turn_angle, ratio, speed, int(cycles)
             )
             task = Task(motion, plain, Load(force=force), record_every=spec.record_every)
-            record(rig, task, recorder, spec.name)
+            record_loop(rig, recipe, task, recorder, spec.name)
         low = rig.position
         for number, spec in enumerate(_explored(recipe)):
             if number:
                 rig.move_by(low - rig.position)
             load = Load(force=spec.conditions["force"][0])
-            record(rig, Task(exploring(recipe, number), plain, load), recorder, spec.name)
+            task = Task(exploring(recipe, number), plain, load)
+            record_loop(rig, recipe, task, recorder, spec.name)
 
     @classmethod
     def analyse(cls, runs: Sequence[Run], recipe: Recipe, **inputs: Any) -> Outcome:

@@ -5,15 +5,32 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from rigtool import errors
 from rigtool.errors import RunFileError, UsageError
-from rigtool.experiments.controller_torque import LoopSignals, loop_signals, naming
+from rigtool.experiments.controller_torque import (
+    SMALLER_FORCE,
+    LoopSignals,
+    SaturationWatch,
+    loop_signals,
+    naming,
+)
 from rigtool.experiments.learning.stored_table import feedforward
+from rigtool.experiments.procedure import record
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
-from rigtool.runfile import Recording, Run
+from rigtool.rigs import Rig, Task
+from rigtool.runfile import Recording, Run, RunWriter
 
 SATURATION_REMEDY = "lower the speed, or raise ilc_learn.turn_angle"
 """Remedy where the controller saturates during learning."""
+
+
+def record_loop(rig: Rig, recipe: Recipe, task: Task, recorder: RunWriter, name: str) -> None:
+    """Record a task of the loop; `InsufficientDataError` names it as soon as the loop saturates,
+    which no later one could mend."""
+    remedy = SMALLER_FORCE if task.load.force else SATURATION_REMEDY
+    with errors.naming(f"recording {name}"):
+        record(rig, task, recorder, name, SaturationWatch(recipe, remedy).block)
 
 
 def signals(recording: Recording, recipe: Recipe) -> LoopSignals:

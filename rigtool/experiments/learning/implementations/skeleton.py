@@ -22,12 +22,11 @@ from rigtool.experiments.learning.implementations.runs import (
     recorded_runs,
     runs_at_most,
 )
-from rigtool.experiments.learning.implementations.signals import found, only_run
+from rigtool.experiments.learning.implementations.signals import found, only_run, record_loop
 from rigtool.experiments.learning.procedure_design import FilterDesign, design_filters
 from rigtool.experiments.learning.rows import Amplitudes
 from rigtool.experiments.learning.stored_table import feedforward, friction_results
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.procedure import record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
@@ -181,7 +180,7 @@ class Implementation(ABC, Generic[T]):
         def perform(kind: str, fed: Feedforward) -> list[Recording]:
             specs = kinds.get(kind, [])
             for spec in specs:
-                record(rig, self.task(spec, fed), recorder, spec.name)
+                record_loop(rig, self.recipe, self.task(spec, fed), recorder, spec.name)
             return [recorder.recording(spec.name) for spec in specs]
 
         runs = [perform("learn", self.plain)]

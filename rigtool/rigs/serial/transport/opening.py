@@ -68,5 +68,5 @@ def _why(error: OSError | ValueError) -> str:
             "dialout); on Windows another program has it open"
         )
     if "Connection refused" in text or number == errno.ECONNREFUSED:
-        return "nothing listens at this address"
+        return "nothing listens at this address: start the program that serves it first"
     return text

@@ -1,5 +1,6 @@
 """Which run taught the table, how its noise adds up, why learning ended, what was fed forward."""
 
+import itertools
 import math
 from types import SimpleNamespace
 
@@ -21,6 +22,7 @@ from rigtool.experiments.learning.implementations.runs import (
 from rigtool.experiments.learning.learned_table import COULOMB, VISCOUS
 from rigtool.quantity import Quantity
 from rigtool.recipe import load_recipe
+from rigtool.rigs import Load
 from tests.experiments.virtual_runs import RECIPE
 
 
@@ -122,3 +124,26 @@ def test_moves_and_table_share_half_of_the_positions(monkeypatch, part, refused)
         position, rows = _moved_rows(["a", "b"], recipe, 0.05, None, table)
         np.testing.assert_array_equal(position, table.position)
         assert rows == ["a", "b"]
+
+
+@pytest.mark.parametrize(
+    ("force", "remedy"), [(0.0, "lower the speed"), (1.0, "use a smaller force")]
+)
+def test_a_loop_that_saturates_ends_the_recording_at_once(force, remedy):
+    """A rig that goes on for ever is stopped behind the first block at the limit, which is kept."""
+    recipe, appended = load_recipe(RECIPE)[0], []
+    names = "time", "current_setpoint", "feedforward_current"
+
+    def perform(task):
+        for number in itertools.count():
+            current = np.full(100, recipe.rig.current_limit if number == 2 else 0.4)
+            yield dict(zip(names, (np.arange(100.0), current, current), strict=True))
+
+    rig = SimpleNamespace(perform=perform)
+    recorder = SimpleNamespace(
+        channel_names=lambda name: names, append=lambda name, block: appended.append(block)
+    )
+    task = SimpleNamespace(load=Load(force=force))
+    with pytest.raises(InsufficientDataError, match=f"recording known_003: .*{remedy}"):
+        signals.record_loop(rig, recipe, task, recorder, "known_003")
+    assert len(appended) == 3

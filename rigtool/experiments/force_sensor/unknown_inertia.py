@@ -1,0 +1,102 @@
+"""An inertia that the tables do not hold, found at the turns of the recording itself.
+
+An inertia J at the output that was not learned reads as a torque in proportion to the output's
+acceleration a, of one sign at both ends of a stroke, where a spring's has two and friction changes
+with the direction. About each change of speed, with torque and acceleration behind one low-pass,
+
+    M = c_0 + c_1 t + J a + e        by least squares
+
+What touches may push the rotor: there, a speed comes back to what it was. A part of J a is taken
+for friction of the strokes, so that the torque may be off for as much between the turns as well.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.lowpass import lowpass
+
+SHOWN_HZ, LONGEST_STEP = 8.0, 0.011
+"""Corner of the low-pass, below which counts of the encoder show an acceleration; and the longest
+step by which rows show a turn, s."""
+
+LARGE_PART, LARGE_QUANTILE, NEXT_TIME, KEPT = 0.3, 0.99, 0.1, 0.7
+"""Part of a quantile of accelerations from which on speed changes; time on both sides of a change
+that is compared, s; and the part of the accelerations there that the speed keeps."""
+
+FEWEST_TURNS = 4
+"""Turns of each sign below which nothing is compared."""
+
+TYPICAL_OVER_U, LEAST_OVER_U = 0.5, 0.2
+"""J a over u that is beyond errors: median, and lower quartile, of the turns of both signs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Turns:
+    """Changes of speed: largest `acceleration` of the output, rad/s2, with its sign, `inertia` that
+    the torque shows there, kg m2, and its `u`, N m; (k,) each."""
+
+    acceleration: Array = field(default_factory=lambda: np.empty(0))
+    inertia: Array = field(default_factory=lambda: np.empty(0))
+    u: Array = field(default_factory=lambda: np.empty(0))
+
+    @classmethod
+    def of(cls, step_time: float, output: Array, known: Mask, torque: Array, u: Array) -> Turns:
+        """Return those of rows (m,) every `step_time` s: angle of the output rad, torque and u N m;
+        rows that are not `known` have no value."""
+        margin = round(NEXT_TIME / step_time)
+        if step_time > LONGEST_STEP or len(output) < 4 * margin:
+            return cls()
+        rate = 1 / step_time
+        angle = lowpass(rate, output, SHOWN_HZ)
+        shown = lowpass(rate, np.where(known, torque, 0.0), SHOWN_HZ)
+        acceleration = np.gradient(np.gradient(angle, step_time), step_time)
+        least = LARGE_PART * np.quantile(np.abs(acceleration), LARGE_QUANTILE)
+        side = np.where(np.abs(acceleration) > least, np.sign(acceleration), 0.0)
+        edges = np.flatnonzero(np.diff(side, prepend=0.0, append=0.0)).tolist()
+        found = []
+        for first, last in itertools.pairwise(edges):
+            about = slice(first - margin, last + margin)
+            if not side[first] or about.start < 0 or about.stop > len(side):
+                continue
+            own = acceleration[about]
+            if not known[about].all() or abs(own.sum()) < KEPT * np.abs(own).sum():
+                continue
+            line = np.stack([np.ones(len(own)), np.linspace(-1, 1, len(own)), own], axis=1)
+            inertia = np.linalg.lstsq(line, shown[about], rcond=None)[0][2]
+            largest = side[first] * np.abs(acceleration[first:last]).max()
+            found.append((largest, inertia, u[first:last].mean()))
+        return cls(*np.array(found).reshape(-1, 3).T)
+
+
+@dataclass(frozen=True)
+class UnknownInertia:
+    """An `inertia` at the output that was not learned, kg m2, and the `torque` that it takes at the
+    turns, N m."""
+
+    inertia: float
+    torque: float
+
+
+def unknown_inertia(parts: Sequence[Turns]) -> UnknownInertia | None:
+    """Return what the turns of stretches show, the larger of both signs; None where their torques
+    are no more than errors, or not in proportion to the acceleration."""
+    acceleration, inertia, u = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("acceleration", "inertia", "u")
+    )
+    found = []
+    for side in (acceleration > 0, acceleration < 0):
+        if side.sum() < FEWEST_TURNS:
+            return None
+        torque = inertia[side] * np.abs(acceleration[side])
+        low, middle = np.quantile(torque / u[side], [0.25, 0.5])
+        if low < LEAST_OVER_U or middle < TYPICAL_OVER_U:
+            return None
+        found.append(UnknownInertia(float(np.median(inertia[side])), float(np.median(torque))))
+    return max(found, key=lambda one: one.torque)
