@@ -175,10 +175,13 @@ struct rigtool_sensor {
     rs_real turn; /* of the output at this count, in turns */
     rs_real at, sine, cosine; /* of the output at the begin of the step */
     int begun, samples, creeps, crawls;
-    /* the row that is filled, torque first; and what was known of the ripple, the earlier first */
-    struct rs_shown shown[RS_WAVES];
+    /* the row that is filled, torque first; and what was known of the ripple, the earlier first; the
+     * last wave is what is taken off the drive torque, by `held` */
+    struct rs_shown shown[RS_WAVES + 1];
     rs_real gain[RS_STATES], stroke;
-    rs_real waves[RS_WAVES], row[RS_PARTS], ripple_q[RS_ORDER];
+    rs_real held[RS_WAVES], taken;
+    int held_steps;
+    rs_real waves[RS_WAVES + 1], row[RS_PARTS], ripple_q[RS_ORDER];
     struct rs_ripple known, before[2];
     rs_real plain, plain_variance, other; /* without it; logarithm of the likelihoods' ratio */
     /* without it: a contact that lasts, as above; its probability, with and without it */
@@ -292,7 +295,7 @@ static inline rs_real rs_drive(struct rigtool_sensor *s, rs_real *viscous)
     s->ripple += (1 - m->ripple_kept) * (raw - s->ripple);
     s->late += (1 - m->delay_kept) * (plain - s->late);
     *viscous = here[RS_VISCOUS];
-    return s->late - here[RS_COGGING] - s->ripple;
+    return s->late - here[RS_COGGING] - s->ripple - s->taken;
 }
 
 /* Advance the states, and with them the columns of U, by one sample of the equations. */
@@ -1058,16 +1061,17 @@ static inline void rs_show(struct rigtool_sensor *s)
     const rs_real by_torque = gain[RS_TORQUE] / m->torque_factor;
     const int held = RS_MATH(fabs)(speed) < m->wave_slow;
     const int begins = bristle * s->stroke < (rs_real)-0.5;
-    int j;
+    int j, lost = held;
     if (begins) {
         s->stroke = bristle > 0 ? (rs_real)1 : (rs_real)-1;
-        for (j = 0; j < RS_WAVES; j++)
+        for (j = 0; j <= RS_WAVES; j++)
             s->shown[j].sine = s->shown[j].cosine = 0;
     }
-    for (j = 0; j < RS_WAVES; j++) {
+    for (j = 0; j <= RS_WAVES; j++) {
         struct rs_shown *w = &s->shown[j];
         const rs_real before = w->seen;
         rs_real torque, off;
+        int large;
         torque = carried * w->seen + by_sine * w->sine + by_cosine * w->cosine - s->waves[j]
             - m->housing_friction * w->housing;
         w->housing = left * w->housing + bent * w->speed;
@@ -1080,7 +1084,9 @@ static inline void rs_show(struct rigtool_sensor *s)
         w->sine += gain[RS_SINE] * off;
         w->cosine += gain[RS_COSINE] * off;
         w->seen += by_torque * off;
-        if (held || RS_MATH(fabs)(w->seen) > m->wave_held) {
+        large = j < RS_WAVES && RS_MATH(fabs)(w->seen) > m->wave_held;
+        lost |= large; /* the last wave, which is a sum of the others */
+        if (held || large || (lost && j == RS_WAVES)) {
             w->angle = w->speed = w->housing = 0;
             w->seen = before + m->wave_shown * (s->waves[j] - before);
         }
@@ -1095,7 +1101,7 @@ static inline void rs_row(struct rigtool_sensor *s)
     const rs_real share = (rs_real)1 / (rs_real)s->row_length, felt = m->torque_factor * share;
     const rs_real direction = (rs_real)((s->x[RS_SPEED] > 0) - (s->x[RS_SPEED] < 0));
     int j;
-    s->row[0] += s->x[RS_TORQUE] * share;
+    s->row[0] += (s->x[RS_TORQUE] + m->torque_factor * s->shown[RS_WAVES].seen) * share;
     for (j = 0; j < RS_WAVES; j++)
         s->row[j + 1] += felt * s->shown[j].seen;
     s->row_slid += s->x[RS_HOUSING] * direction >= m->sliding;
@@ -1127,15 +1133,31 @@ static inline rs_real rs_by_current(const struct rigtool_sensor *s)
     return sum * rs_square(m->torque_factor * constant * current);
 }
 
-/* What ripple adds to the torque behind the low-pass; *variance receives its variance. */
+/* What is taken off the drive torque from now on: by what is known, renewed now and then. */
+static inline void rs_hold(struct rigtool_sensor *s, rs_real weight, rs_real lasting)
+{
+    int j;
+    if (++s->held_steps == RS_HELD_STEPS) {
+        s->held_steps = 0;
+        for (j = 0; j < RS_WAVES && s->other != 0; j++) /* before a row, nothing */
+            s->held[j] = weight * (s->known.mean[j + 1] + lasting * s->known.shift[j + 1]);
+    }
+    s->taken = 0;
+    for (j = 0; j < RS_WAVES; j++)
+        s->taken += s->held[j] * s->waves[j];
+}
+
+/* What ripple adds to the torque behind the low-pass, less what was taken off the drive torque;
+ * *variance receives its variance. */
 static inline rs_real rs_rippled(struct rigtool_sensor *s, rs_real *variance)
 {
     const struct rs_model *m = &rs_model;
     const rs_real *c = m->low_pass[RS_ORDER];
-    rs_real power, weight, mean = 0, spread, ripple, shift = 0, lasting, felt;
+    rs_real power, weight, mean = 0, spread, ripple, shift = 0, lasting, felt, left;
     rs_real q[RS_ORDER];
     int i, j;
     rs_wave(s);
+    s->waves[RS_WAVES] = s->taken;
     rs_show(s);
     rs_row(s);
     power = rs_exp(-RS_MATH(fabs)(s->other));
@@ -1155,15 +1177,17 @@ static inline rs_real rs_rippled(struct rigtool_sensor *s, rs_real *variance)
     spread += shift * shift * s->lasts
         * (s->known.lasting[1] + (1 - s->lasts) * lasting * lasting);
     *variance = weight * (spread + (1 - weight) * mean * mean);
-    ripple = c[RS_ORDER] * weight * mean;
+    left = weight * mean - m->torque_factor * s->shown[RS_WAVES].seen;
+    ripple = c[RS_ORDER] * left;
     for (i = 0; i < RS_ORDER; i++) {
         ripple += c[i] * s->ripple_q[i];
-        q[i] = m->low_pass[i][RS_ORDER] * weight * mean;
+        q[i] = m->low_pass[i][RS_ORDER] * left;
         for (j = 0; j < RS_ORDER; j++)
             q[i] += m->low_pass[i][j] * s->ripple_q[j];
     }
     for (i = 0; i < RS_ORDER; i++)
         s->ripple_q[i] = q[i];
+    rs_hold(s, weight, s->lasts * lasting);
     return ripple;
 }
 

@@ -71,6 +71,7 @@ def sensor_header(
         "REST_STEPS": int(rests.rest_steps(grid.step_time)),
         "ROW_STEPS": ripple_rows.row_steps(grid.step_time),
         **dict(zip(("DRAW_FACTOR", "DRAW_ADDED", "DRAW_MODULUS"), ripple_rows.DRAW, strict=True)),
+        "HELD_STEPS": ripple_rows.held_steps(grid.step_time),
         "LATE_ROWS": ripple_rows.late_rows(grid.step_time),
         "ROTOR_CELLS": len(model.drive.rotor_map) - 1,
         "HOUSING_CELLS": len(plant.friction_map) - 1,

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,6 +87,18 @@ class Estimate:
     idle: Mask
     kept: tuple[Array, ...] | None = None
 
+    @classmethod
+    def joined(cls, parts: Sequence[Estimate]) -> Estimate:
+        """Return estimates that follow one another as one, without what the smoother needs."""
+        if len(parts) == 1:
+            return parts[0]
+        return cls(
+            np.concatenate([part.states for part in parts]),
+            np.concatenate([part.outputs for part in parts]),
+            np.concatenate([part.low for part in parts]),
+            np.concatenate([part.idle for part in parts]),
+        )
+
     @property
     def torque(self) -> Array:
         """Torque on the output, (m,) N m."""
@@ -136,6 +149,19 @@ class Filter:
         if self._state is None:
             return 0.0
         return float(np.sqrt(self._state["covariance"][0, TORQUE, TORQUE]))
+
+    def pieces(self, signals: Signals, steps: int) -> tuple[Signals, Signals]:
+        """Return the first samples, which complete no more than some steps, and the others."""
+        waiting = 0 if self._waiting is None else self._waiting.low.size
+        end = max(0, steps * self._size + 1 - waiting)
+        return _part(signals, 0, end), _part(signals, end, None)
+
+    def ends(self, signals: Signals) -> Array:
+        """Return the angle after every step that these samples complete, (m,) rad: the middle of
+        its count."""
+        waiting = 0 if self._waiting is None else self._waiting.low.size
+        ends: Array = signals.low[self._size - waiting :: self._size] + signals.width / 2
+        return ends
 
     def add(
         self,

@@ -29,6 +29,10 @@ Applications to Tracking and Navigation, 2001, section 11.6.2, static multiple m
 A weak contact may also act all the time (`lasting_contact`), under each hypothesis.
 
 What of the ripple grows with the current is in the variance alone (`drawn_ripple`).
+
+What is known of the ripple is taken off the drive torque of the filter, as its friction depends on
+the torque: renewed every `HELD_TIME`, and what the filter's torque then lacks follows from the same
+response as for a wave (`shown_ripple`). Rows see the torque as if nothing had been taken off.
 """
 
 from __future__ import annotations
@@ -51,13 +55,14 @@ from rigtool.experiments.force_sensor.ripple_rows import (
     PARAMETERS,
     STATE,
     WAVE_COUNT,
+    held_steps,
     late_rows,
     read_row,
     row_steps,
 )
 from rigtool.experiments.force_sensor.shown_ripple import show
 from rigtool.numerics.arrays import Array
-from rigtool.numerics.compiled import compiled
+from rigtool.numerics.compiled import compiled, compiled_allocating
 
 
 class PowerUp:
@@ -79,9 +84,12 @@ class PowerUp:
         housing = plant.housing_friction, plant.housing_presliding_angle
         slow = shown_ripple.HELD_LENGTHS * plant.presliding_angle / step_time
         shown = 1 - math.exp(-step_time / shown_ripple.SHOWN_TIME)
+        self._held_steps = held_steps(step_time)
         numbers = lag, factor, steps, time, factor * size, late, step_time, inertia
         load = plant.load_friction, plant.load_friction_onset
-        self._parameters = np.array([(*numbers, *housing, slow, shown, *load)], dtype=PARAMETERS)
+        self._parameters = np.array(
+            [(*numbers, *housing, slow, shown, *load, self._held_steps)], dtype=PARAMETERS
+        )
         self._state = np.zeros(1, dtype=STATE)
         self._state["length"] = steps
         self._state["mean"][0, :-1] = -own
@@ -105,21 +113,35 @@ class PowerUp:
         other: float = self._state["other"][0]
         return 1 / (1 + math.exp(-other))
 
+    @property
+    def steps_ahead(self) -> int:
+        """Number of steps until what is taken off the drive torque is renewed, one at least."""
+        return self._held_steps - int(self._state["held_steps"][0])
+
+    def ahead(self, angle: Array) -> Array:
+        """Return what the filter has to take off the drive torque in each of the next m steps,
+        `steps_ahead` at most, whose angles (m,) rad are the rotor's: (m,) N m."""
+        taken = np.empty(len(angle))
+        _ahead(self._state, self._parameters, angle, taken)
+        return taken
+
     def add(
-        self, angle: Array, states: Array, gains: Array, drive: Array
+        self, angle: Array, states: Array, gains: Array, drive: Array, taken: Array
     ) -> tuple[Array, Array, Array, Array]:
-        """Return them from these steps and those before, torque behind the low-pass (m,), and the
-        variance (m,) N2 m2 that ripple by the current has if the power-up is another one.
+        """Return them from these steps and those before, torque behind the low-pass (m,) less what
+        `taken` left of it, and the variance (m,) N2 m2 that ripple by the current has if the
+        power-up is another one.
 
         `angle` (m,) rad is the rotor's, `states` (m, 12) those of the causal filter, `gains` (m, 6)
-        its `Estimate.gains`, `drive` (m, 2) the motor's torque N m and its current A.
+        its `Estimate.gains`, `drive` (m, 2) the motor's torque N m and its current A; `taken` (m,)
+        N m was taken off the filter's drive torque.
         """
         way = np.sign(states[:, SPEED])
         sliding = states[:, HOUSING] * way >= SLIDING_DEFLECTION
         moving = states[:, [GRASPER, SPEED, HOUSING]]
         follows = np.column_stack([gains, moving])
-        drive = np.ascontiguousarray(drive)
-        return self._followed(self._state, angle, states[:, TORQUE], sliding, follows, drive)
+        driven = np.ascontiguousarray(np.column_stack([drive, taken]))
+        return self._followed(self._state, angle, states[:, TORQUE], sliding, follows, driven)
 
     def whole(self, angle: Array, torque: Array) -> tuple[Array, Array, Array]:
         """Return them from all that was added, at its steps again: (m,) not low-passed, the
@@ -133,7 +155,7 @@ class PowerUp:
         """Return `whole` for a recording that is given piece by piece."""
         state = self._state.copy()
         state["waves"] = 0.0
-        none = np.zeros(0, np.bool_), np.zeros((0, 0)), np.zeros((0, 2))
+        none = np.zeros(0, np.bool_), np.zeros((0, 0)), np.zeros((0, 3))
         return lambda angle, torque: self._followed(state, angle, torque, *none)[:3]
 
     def _followed(
@@ -150,6 +172,30 @@ class PowerUp:
         _follow(state, self._parameters, self._low_pass, *signals, found)
         ripple, variance, less, by_current = found
         return ripple, variance, less, by_current
+
+
+@compiled
+def _turn(waves: Array, lag: float, angle: float) -> None:
+    """Advance the waves by a step that ends at an angle, rad."""
+    sine, cosine = math.sin(angle), math.cos(angle)
+    high, wide = sine, cosine  # of the orders, each from the one before
+    for j in range(0, WAVE_COUNT, 2):
+        waves[j] += lag * (wide - waves[j])
+        waves[j + 1] += lag * (high - waves[j + 1])
+        high, wide = high * cosine + wide * sine, wide * cosine - high * sine
+
+
+@compiled_allocating
+def _ahead(
+    state: NDArray[np.void], parameters: NDArray[np.void], angle: Array, taken: Array
+) -> None:
+    """Write `PowerUp.ahead` into `taken` (m,): by the waves before each step."""
+    s, waves = state[0], state[0].waves.copy()
+    for k in range(angle.shape[0]):
+        taken[k] = 0.0
+        for j in range(WAVE_COUNT):
+            taken[k] += s.held[j] * waves[j]
+        _turn(waves, parameters[0].lag, angle[k])
 
 
 @compiled
@@ -172,17 +218,13 @@ def _follow(
     s, p = state[0], parameters[0]
     waves = s.waves
     for k in range(angle.shape[0]):
-        sine, cosine = math.sin(angle[k]), math.cos(angle[k])
-        high, wide = sine, cosine  # of the orders, each from the one before
-        for j in range(0, WAVE_COUNT, 2):
-            waves[j] += p.lag * (wide - waves[j])
-            waves[j + 1] += p.lag * (high - waves[j + 1])
-            high, wide = high * cosine + wide * sine, wide * cosine - high * sine
+        _turn(waves, p.lag, angle[k])
         if sliding.shape[0]:
+            waves[WAVE_COUNT] = drive[k, 2]
             show(s, p, follows[k], torque[k])
             for j in range(WAVE_COUNT):
                 s.row[j] += p.factor * s.seen[j] / s.length
-            s.row[WAVE_COUNT] += torque[k] / s.length
+            s.row[WAVE_COUNT] += (torque[k] + p.factor * s.seen[WAVE_COUNT]) / s.length
             s.slid += 1.0 if sliding[k] else 0.0
             s.filled += 1.0
             if s.filled >= s.length:
@@ -214,9 +256,14 @@ def _follow(
         found[1, k] = weight * variance + weight * (1.0 - weight) * mean * mean
         found[2, k] = weight * less
         if sliding.shape[0]:
-            first, second = s.passed
+            left, (first, second) = weight * mean - p.factor * s.seen[WAVE_COUNT], s.passed
             found[0, k] = low_pass[2, 0] * first + low_pass[2, 1] * second
-            found[0, k] += low_pass[2, 2] * weight * mean
+            found[0, k] += low_pass[2, 2] * left
             for i in range(2):
                 s.passed[i] = low_pass[i, 0] * first + low_pass[i, 1] * second
-                s.passed[i] += low_pass[i, 2] * weight * mean
+                s.passed[i] += low_pass[i, 2] * left
+            s.held_steps += 1.0
+            if s.held_steps >= p.held:
+                s.held_steps = 0.0
+                for j in range(WAVE_COUNT if s.other != 0.0 else 0):  # before a row, nothing
+                    s.held[j] = weight * (s.mean[j] + lasting * s.shift[j])

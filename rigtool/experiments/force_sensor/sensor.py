@@ -177,13 +177,9 @@ class Sensor:
         known = encoder, np.clip(current, -most, most), constant + slope * warm
         every = *known, warm, limited.astype(np.float64), *others
         signals, riding = self._sampler.add(every, last=last)
-        estimate = self._filter.add(signals)
         amperes, torque_constant, *found = self._stepper.add(riding)
-        angle = estimate.low + self._instrument.count / 2
         drive = np.column_stack([torque_constant * amperes, amperes])
-        ripple, variance, less, by_current = self.power_up.add(
-            angle, estimate.states, estimate.gains, drive
-        )
+        estimate, (ripple, variance, less, by_current) = self._filtered(signals, drive)
         torque = estimate.passed - ripple
         moments = Moments(
             estimate.low,
@@ -203,6 +199,23 @@ class Sensor:
         doubt = np.sqrt(variance)
         own = estimate, torque, u, moments, states, kinds, found[2:], signals, less, doubt
         return Sensed(*own, by_current, unbent)
+
+    def _filtered(self, signals: Signals, drive: Array) -> tuple[Estimate, Array]:
+        """Return the estimate after the steps that these samples complete, with what is known of
+        the ripple taken off the drive torque, and `PowerUp.add` (4, m)."""
+        estimates, ripples, first = [], [], 0
+        while True:
+            piece, signals = self._filter.pieces(signals, self.power_up.steps_ahead)
+            angle = self._filter.ends(piece)
+            taken = self.power_up.ahead(angle)
+            estimate = self._filter.add(piece, less=taken)
+            driven = drive[first : first + len(angle)]
+            own = angle, estimate.states, estimate.gains, driven, taken
+            ripples.append(np.stack(self.power_up.add(*own)))
+            estimates.append(estimate)
+            first += len(angle)
+            if not signals.low.size:
+                return Estimate.joined(estimates), np.hstack(ripples)
 
     @property
     def last_deviation(self) -> float:

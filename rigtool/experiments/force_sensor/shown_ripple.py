@@ -45,7 +45,8 @@ def show(s: Record, p: Record, follows: Array, torque: float) -> None:
     # what the tendon carries is felt with the friction that grows with it
     carried = 1.0 + p.load_friction * bristle * torque / math.hypot(torque, p.onset)
     bent = (1.0 - bristle if speed > 0.0 else 1.0 + bristle) * left * p.step_time / p.length
-    for j in range(s.waves.shape[0]):
+    last, lost = s.waves.shape[0] - 1, abs(speed) < p.slow
+    for j in range(last + 1):
         held = by_sine * s.sine[j] + by_cosine * s.cosine[j] - p.friction * s.housing[j]
         s.housing[j] = left * s.housing[j] + bent * s.speed[j]
         s.speed[j] += p.step_time / p.inertia * (carried * s.seen[j] + held - s.waves[j])
@@ -57,6 +58,8 @@ def show(s: Record, p: Record, follows: Array, torque: float) -> None:
         s.sine[j] += follows[3] * off
         s.cosine[j] += follows[4] * off
         s.seen[j] += follows[5] / p.factor * off
-        if abs(speed) < p.slow or abs(s.seen[j]) > LARGEST_SHOWN:
+        large = j < last and abs(s.seen[j]) > LARGEST_SHOWN
+        lost = lost or large  # the last wave, which is a sum of the others
+        if abs(speed) < p.slow or large or (lost and j == last):
             s.angle[j] = s.speed[j] = s.housing[j] = 0.0
             s.seen[j] = before + p.shown * (s.waves[j] - before)

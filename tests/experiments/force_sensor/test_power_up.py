@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import butter, lfilter
 
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED, STATES, TORQUE
 from rigtool.experiments.force_model.deviations import Deviations
@@ -48,9 +48,9 @@ def motion(seconds=40.0, way=1.25):
 
 def follows(states, current=0.0):
     """Return gains that do not count, as the motion is so slow that the bearings hold the rotor;
-    and the motor's torque and current."""
+    the motor's torque and current; and that nothing is taken off the filter's drive torque."""
     drive = np.tile([CONSTANT * current, current], (len(states), 1))
-    return np.zeros((len(states), 6)), drive
+    return np.zeros((len(states), 6)), drive, np.zeros(len(states))
 
 
 def ripple(coefficients, angle):
@@ -98,6 +98,29 @@ def test_ripple_of_another_power_up_is_found_under_contacts(another):
     assert np.mean(np.abs(whole - added) < 1.96 * np.sqrt(left)) > 0.95
 
 
+def test_rows_see_the_torque_as_if_nothing_had_been_taken_off(another):
+    """Where the bearings hold the rotor, the filter's torque lacks within 12 ms what was taken."""
+    plain, angle, states, _, found, variance = another
+    power_up, felt, first, parts = PowerUp(model(), STEP, BANDWIDTH), [0.0], 0, []
+    while first < len(angle):
+        part = slice(first, first + power_up.steps_ahead)
+        taken = power_up.ahead(angle[part])
+        for torque in taken:
+            felt.append(felt[-1] + (1 - np.exp(-STEP / 12e-3)) * (torque - felt[-1]))
+        own = states[part].copy()
+        own[:, TORQUE] -= FACTOR * np.array(felt[-len(taken) :])
+        parts.append(power_up.add(angle[part], own, *follows(own)[:2], taken))
+        first += len(taken)
+    left, doubt, *_ = (np.concatenate(values) for values in zip(*parts, strict=True))
+    section = butter(2, BANDWIDTH, fs=1 / STEP)
+    np.testing.assert_allclose(left, found - FACTOR * lfilter(*section, felt[1:]), atol=1e-12)
+    np.testing.assert_allclose(doubt, variance, rtol=1e-6)
+    assert power_up.probability == pytest.approx(plain.probability)
+    late = slice(round(10 / STEP), None)
+    assert np.std(felt[1:][late]) > 0.5e-3
+    assert np.std(left[late]) < 0.2 * np.std(found[late])
+
+
 def in_unit(own, unit):
     """Return a model whose torques are in another unit than N m."""
     learned, shape, known = own.learned, own.learned.shape, own.learned.known
@@ -126,12 +149,12 @@ def test_the_unit_of_torque_changes_nothing(gain):
     states[:, TORQUE] = ramps(time, 4e-3, 8.0) + contact(time) + noise(time, states) + added
     unit, results = 64.0, []
     for scale in (1.0, unit):
-        gains, drive = follows(states)
+        gains, drive, taken = follows(states)
         gains += gain * np.array([1.0, 1.0, 1.0, scale, scale, scale])
         scaled = states.copy()
         scaled[:, TORQUE] *= scale
         power_up = PowerUp(in_unit(model(1e-4), scale), STEP, BANDWIDTH)
-        found, variance, less, _ = power_up.add(angle, scaled, gains, drive)
+        found, variance, less, _ = power_up.add(angle, scaled, gains, drive, taken)
         whole, left, _ = power_up.whole(angle, scaled[:, TORQUE])
         torques, variances = np.stack([found, less, whole]), np.stack([variance, left])
         results.append((torques / scale, variances / scale**2, power_up.probability))
@@ -306,7 +329,10 @@ def test_in_fast_motion_ripple_is_what_the_filter_shows_of_it():
     angle, kept = samples[0] * sensors.WIDTH, np.exp(-sensors.INTERVAL / LAG)
     ripple = lfilter([1 - kept], [1, -kept], 1.5e-3 * np.sin(2 * angle))
     samples[1] += ripple / (sensors.CONSTANT[0] + sensors.CONSTANT[1] * sensors.WARM)
-    less = Sensor(sensors.instrument()).add(samples, last=True).less
+    found = Sensor(sensors.instrument()).add(samples, last=True)
+    less = found.less
     acts = ripple[: 8 * len(less)].reshape(-1, 8).mean(axis=1)
     late = slice(round(4.0 / STEP), None)
     assert (less - acts)[late].std() < 0.4 * acts[late].std()
+    # what is known is taken off the drive torque: little of it is left in the filter's torque
+    assert found.estimate.torque[late].std() < 0.6 * acts[late].std()

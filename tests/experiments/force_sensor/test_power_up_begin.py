@@ -98,6 +98,7 @@ def test_it_is_followed_from_the_learned_power_up_on(step_time):
         "shown": 1 - math.exp(-step_time / 12e-3),
         "load_friction": PLANT.load_friction,
         "onset": PLANT.load_friction_onset,
+        "held": round(2 / step_time),
     }
     assert set(expected) == set(p.dtype.names)
     for name, value in expected.items():
@@ -134,12 +135,13 @@ def test_it_slides_where_the_long_bristle_is_bent_in_the_direction_of_motion(mon
     states[:, HOUSING] = 0.91, -0.91, 0.89, 0.95
     states[:, TORQUE], states[:, GRASPER] = np.arange(4), 10 + np.arange(4)
     gains, drive = np.ones((4, 6)), np.ones((2, 4)).T
-    own.add(np.arange(4.0), states, gains, drive)
+    own.add(np.arange(4.0), states, gains, drive, np.full(4, 7.0))
     _, angle, torque, sliding, follows, driven = seen[0]
     assert sliding.tolist() == [True, True, False, False]
     assert torque.tolist() == [0, 1, 2, 3]
     assert_allclose(follows, np.column_stack([gains, states[:, [GRASPER, SPEED, HOUSING]]]))
     assert driven.flags.c_contiguous
+    assert driven.tolist() == [[1, 1, 7]] * 4
     assert angle.tolist() == [0, 1, 2, 3]
 
 
@@ -153,7 +155,8 @@ def test_each_step_gives_mean_and_variance_of_the_mixture_of_both_power_ups():
     for name in ("mean", "shift"):
         s[name] = rng.standard_normal(count + 1) * (1e-3 if name == "mean" else 0.3)
     s["lasting"], s["lasts"], s["other"] = (2e-3, 3e-7), 0.3, 0.4
-    s["waves"] = before = rng.uniform(-1, 1, count)
+    s["waves"][:-1] = before = rng.uniform(-1, 1, count)
+    taken = 1e-3 * rng.standard_normal(4)
     weight, factor = own.probability, PLANT.torque_factor
     angle = np.array([0.4, 0.5, 0.7, 0.8])
     states, current = np.zeros((4, STATES)), np.array([-0.5, 0.2, 1.0, 0.7])
@@ -162,16 +165,17 @@ def test_each_step_gives_mean_and_variance_of_the_mixture_of_both_power_ups():
     means = []
     for k in range(4):
         ripple, variance, less, by_current = own.add(
-            angle[[k]], states[[k]], 0.01 * np.ones((1, 6)), drive[[k]]
+            angle[[k]], states[[k]], 0.01 * np.ones((1, 6)), drive[[k]], taken[[k]]
         )
         orders = np.repeat(RIPPLE_ORDERS, 2)
         fresh = np.where(np.arange(count) % 2, np.sin(orders * angle[k]), np.cos(orders * angle[k]))
         before = before + (1 - math.exp(-step / LEARNED.shape.ripple_time)) * (fresh - before)
-        assert_allclose(s["waves"], before)
+        assert_allclose(s["waves"], np.append(before, taken[k]))
         squares = (before**2).reshape(-1, 2).sum(axis=1)[: len(GAIN_ORDERS)]
         grows = s["growing"] @ np.abs(current[k]) ** np.arange(3)
         assert_allclose(by_current, [(factor * 0.045 * current[k]) ** 2 * grows @ squares])
-        seen, shift = factor * s["seen"], factor * s["seen"] @ s["shift"][:-1]
+        *seen, left = factor * s["seen"]
+        shift = seen @ s["shift"][:-1]
         alone, carried = seen @ s["mean"][:-1], shift * s["lasting"][0]
         spread = seen @ s["covariance"][:-1, :-1] @ seen + by_current[0]
         parts = [(1 - weight, 0.0, 0.0), (weight * 0.7, alone, spread)]
@@ -179,9 +183,9 @@ def test_each_step_gives_mean_and_variance_of_the_mixture_of_both_power_ups():
         mean = sum(p * m for p, m, _ in parts)
         square = sum(p * (v + m**2) for p, m, v in parts)
         assert_allclose(variance, square - mean**2)
-        taken = s["mean"][:-1] + 0.3 * s["lasting"][0] * s["shift"][:-1]
-        assert_allclose(less, weight * before @ taken)
-        means.append(mean)
+        known = s["mean"][:-1] + 0.3 * s["lasting"][0] * s["shift"][:-1]
+        assert_allclose(less, weight * before @ known)
+        means.append(mean - left)
         assert_allclose(ripple[0], lfilter(*butter(2, 10.0, fs=1 / step), means)[-1])
     # again, from the whole recording: as ripple is, behind no filter that shows it
     again, variance, less = own.whole(angle, np.zeros(4))

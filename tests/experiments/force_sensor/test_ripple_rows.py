@@ -313,7 +313,7 @@ def watched(seed, output=0.7, speed=2.0, bristle=0.95, gains=1.0):
     for name, value in values.items():
         p[name] = value
     for name in (*WAVES, "waves"):
-        s[name] = 1e-3 * rng.standard_normal(COUNT)
+        s[name] = 1e-3 * rng.standard_normal(COUNT + 1)  # the last is their sum
     s["direction"] = 1.0
     follows = gains * np.array([0.3, 30.0, 2.0, -0.05, 0.04, -4e-3])
     return s, p, np.append(follows, [output, speed, bristle])
@@ -378,7 +378,7 @@ def test_a_stroke_that_begins_forgets_what_the_angle_showed(begins):
 def test_held_or_runaway_waves_follow_in_a_set_time(why):
     s, p, follows = watched(3, speed=-0.4 if why == "slow" else -0.6)
     if why == "large":
-        s["seen"] = LARGEST_SHOWN * 1.2 * np.where(np.arange(COUNT) % 2, 1.0, -1.0)
+        s["seen"] = LARGEST_SHOWN * 1.2 * np.where(np.arange(COUNT + 1) % 2, 1.0, -1.0)
         follows[5] = 0.0
     expected = s["seen"] + 0.08 * (s["waves"] - s["seen"])
     show(s, p, follows, 0.0)
