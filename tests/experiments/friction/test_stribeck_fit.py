@@ -490,7 +490,7 @@ def test_few_speeds_hold_what_a_stribeck_effect_that_they_do_not_resolve_may_cha
             ratios.append(abs(value - true) / u / limit)
     assert len(ratios) > 80
     assert np.mean(np.array(ratios) < 1) > 0.9
-    assert max(ratios) < 5 / 1.96  # without these curves, up to 8 times as far off
+    assert max(ratios) < 5 / 1.96
 
 
 def test_friction_that_falls_with_the_speed_shows_no_coulomb_and_viscous_friction():
