@@ -183,7 +183,8 @@ struct rigtool_sensor {
     int held_steps;
     rs_real waves[RS_WAVES + 1], row[RS_PARTS], ripple_q[RS_ORDER];
     struct rs_ripple known, before[2];
-    rs_real plain, plain_variance, other; /* without it; logarithm of the likelihoods' ratio */
+    rs_real plain, plain_variance; /* without it */
+    rs_real other, weight; /* logarithm of the likelihoods' ratio; the other one's probability */
     /* without it: a contact that lasts, as above; its probability, with and without it */
     rs_real plain_shift, plain_lasting[2], lasts, plain_lasts;
     rs_real touched, plain_touched; /* the probability that something touches, with and without it */
@@ -1061,7 +1062,9 @@ static inline void rs_show(struct rigtool_sensor *s)
     const rs_real by_torque = gain[RS_TORQUE] / m->torque_factor;
     const int held = RS_MATH(fabs)(speed) < m->wave_slow;
     const int begins = bristle * s->stroke < (rs_real)-0.5;
-    int j, lost = held;
+    struct rs_shown *taken = &s->shown[RS_WAVES]; /* a sum of the others: lost where one is */
+    rs_real before;
+    int j, lost = 0;
     if (begins) {
         s->stroke = bristle > 0 ? (rs_real)1 : (rs_real)-1;
         for (j = 0; j <= RS_WAVES; j++)
@@ -1069,9 +1072,8 @@ static inline void rs_show(struct rigtool_sensor *s)
     }
     for (j = 0; j <= RS_WAVES; j++) {
         struct rs_shown *w = &s->shown[j];
-        const rs_real before = w->seen;
         rs_real torque, off;
-        int large;
+        before = w->seen;
         torque = carried * w->seen + by_sine * w->sine + by_cosine * w->cosine - s->waves[j]
             - m->housing_friction * w->housing;
         w->housing = left * w->housing + bent * w->speed;
@@ -1084,12 +1086,15 @@ static inline void rs_show(struct rigtool_sensor *s)
         w->sine += gain[RS_SINE] * off;
         w->cosine += gain[RS_COSINE] * off;
         w->seen += by_torque * off;
-        large = j < RS_WAVES && RS_MATH(fabs)(w->seen) > m->wave_held;
-        lost |= large; /* the last wave, which is a sum of the others */
-        if (held || large || (lost && j == RS_WAVES)) {
+        if (held || RS_MATH(fabs)(w->seen) > m->wave_held) {
             w->angle = w->speed = w->housing = 0;
             w->seen = before + m->wave_shown * (s->waves[j] - before);
+            lost = 1;
         }
+    }
+    if (lost) {
+        taken->angle = taken->speed = taken->housing = 0;
+        taken->seen = before + m->wave_shown * (s->waves[RS_WAVES] - before);
     }
 }
 
@@ -1100,6 +1105,7 @@ static inline void rs_row(struct rigtool_sensor *s)
     const struct rs_model *m = &rs_model;
     const rs_real share = (rs_real)1 / (rs_real)s->row_length, felt = m->torque_factor * share;
     const rs_real direction = (rs_real)((s->x[RS_SPEED] > 0) - (s->x[RS_SPEED] < 0));
+    rs_real less;
     int j;
     s->row[0] += (s->x[RS_TORQUE] + m->torque_factor * s->shown[RS_WAVES].seen) * share;
     for (j = 0; j < RS_WAVES; j++)
@@ -1110,6 +1116,8 @@ static inline void rs_row(struct rigtool_sensor *s)
     rs_pass_time(s, s->row_slid == s->row_length);
     if (s->row_slid == s->row_length)
         rs_take(s);
+    less = rs_exp(-RS_MATH(fabs)(s->other));
+    s->weight = (s->other < 0 ? less : (rs_real)1) / (1 + less);
     for (j = 0; j < RS_PARTS; j++)
         s->row[j] = 0;
     s->row_steps = s->row_slid = 0;
@@ -1133,18 +1141,15 @@ static inline rs_real rs_by_current(const struct rigtool_sensor *s)
     return sum * rs_square(m->torque_factor * constant * current);
 }
 
-/* What is taken off the drive torque from now on: by what is known, renewed now and then. */
+/* Renew now and then by what is known what each wave takes off the drive torque. */
 static inline void rs_hold(struct rigtool_sensor *s, rs_real weight, rs_real lasting)
 {
     int j;
-    if (++s->held_steps == RS_HELD_STEPS) {
-        s->held_steps = 0;
-        for (j = 0; j < RS_WAVES && s->other != 0; j++) /* before a row, nothing */
-            s->held[j] = weight * (s->known.mean[j + 1] + lasting * s->known.shift[j + 1]);
-    }
-    s->taken = 0;
-    for (j = 0; j < RS_WAVES; j++)
-        s->taken += s->held[j] * s->waves[j];
+    if (++s->held_steps < RS_HELD_STEPS)
+        return;
+    s->held_steps = 0;
+    for (j = 0; j < RS_WAVES && s->other != 0; j++) /* before a row, nothing */
+        s->held[j] = weight * (s->known.mean[j + 1] + lasting * s->known.shift[j + 1]);
 }
 
 /* What ripple adds to the torque behind the low-pass, less what was taken off the drive torque;
@@ -1153,27 +1158,30 @@ static inline rs_real rs_rippled(struct rigtool_sensor *s, rs_real *variance)
 {
     const struct rs_model *m = &rs_model;
     const rs_real *c = m->low_pass[RS_ORDER];
-    rs_real power, weight, mean = 0, spread, ripple, shift = 0, lasting, felt, left;
+    rs_real weight, mean = 0, spread = 0, ripple, shift = 0, lasting, left, taken = 0;
     rs_real q[RS_ORDER];
     int i, j;
     rs_wave(s);
     s->waves[RS_WAVES] = s->taken;
     rs_show(s);
     rs_row(s);
-    power = rs_exp(-RS_MATH(fabs)(s->other));
-    weight = (s->other < 0 ? power : (rs_real)1) / (1 + power);
-    spread = rs_by_current(s);
+    weight = s->weight;
+    lasting = s->known.lasting[0];
+    rs_hold(s, weight, s->lasts * lasting);
     for (j = 0; j < RS_WAVES; j++) {
-        rs_real by = s->shown[j].seen;
+        const rs_real seen = s->shown[j].seen;
+        rs_real by = seen;
         for (i = 0; i < j; i++)
             by += s->known.u[i + 1][j + 1] * s->shown[i].seen;
-        spread += rs_square(m->torque_factor * by) * s->known.d[j + 1];
-        felt = m->torque_factor * s->shown[j].seen;
-        mean += felt * s->known.mean[j + 1];
-        shift += felt * s->known.shift[j + 1];
+        spread += by * by * s->known.d[j + 1];
+        mean += seen * s->known.mean[j + 1];
+        shift += seen * s->known.shift[j + 1];
+        taken += s->held[j] * s->waves[j];
     }
-    lasting = s->known.lasting[0];
-    mean += s->lasts * lasting * shift;
+    s->taken = taken;
+    shift *= m->torque_factor;
+    mean = m->torque_factor * mean + s->lasts * lasting * shift;
+    spread = rs_square(m->torque_factor) * spread + rs_by_current(s);
     spread += shift * shift * s->lasts
         * (s->known.lasting[1] + (1 - s->lasts) * lasting * lasting);
     *variance = weight * (spread + (1 - weight) * mean * mean);
@@ -1187,7 +1195,6 @@ static inline rs_real rs_rippled(struct rigtool_sensor *s, rs_real *variance)
     }
     for (i = 0; i < RS_ORDER; i++)
         s->ripple_q[i] = q[i];
-    rs_hold(s, weight, s->lasts * lasting);
     return ripple;
 }
 
@@ -1380,6 +1387,7 @@ static inline void rs_begin(struct rigtool_sensor *s)
     }
     s->known.lasting[1] = s->plain_lasting[1] = m->row_lasting;
     s->lasts = s->plain_lasts = m->row_lasts;
+    s->weight = (rs_real)0.5;
     s->before[0] = s->before[1] = s->known;
     s->plain_variance = m->row_untouched;
     s->level_variance[0] = s->level_variance[1] = m->row_contact;
