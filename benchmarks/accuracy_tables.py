@@ -144,7 +144,8 @@ def _by_condition(found: Sequence[Found], condition: Condition, motion: str, ban
         single = max(ratio for *_, ratio in _single(found, [condition], [motion], band, state))
         texts.append(f"{_pair([f'{ratio:.2f}' for ratio in each])} ({single:.2f})")
     rest = [_sum(found, [condition], [motion], form, band, "rest") for form in FORMS]
-    widths = [own.half_widths / known.half_widths for own, known in rest]
+    halves = [[each.half_widths / each.count for each in both] for both in rest]
+    widths = [own / known for own, known in halves]
     of_all = _of_all([_sum(found, [condition], [motion], form, band, "all") for form in FORMS])
     texts += [*of_all[:2], _pair([f"{width:.2f}" for width in widths]), of_all[2]]
     named = {"strokes": "strokes", "free": "free motion"}[motion]
