@@ -32,6 +32,10 @@ FEWEST_APART = 18
 """Clampings whose angles, all different, separate orders of a turn from a change with temperature;
 with fewer they leave the temperature coefficient unknown where orders up to 12 occur."""
 
+EVERY_ORDER = 2 * HIGHEST_ORDER + 3
+"""Clampings that, at angles of their own, show sine and cosine of each order up to the highest,
+beside the constant and its change with temperature."""
+
 
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
     """One recording of all staircases in sequence; the bench clock runs on."""
@@ -70,13 +74,15 @@ def clamping_angles(settings: CalibrateKt) -> Array:
     Each temperature has angles at equal distance. The lowest has those of the highest, the second
     that of the second highest and so on, so that no order of the amplifier's ripple can pass for a
     change with temperature; the others lie between them, to resolve more orders. Where these angles
-    divide the turn into n parts, order n passes for the constant: for n up to `HIGHEST_ORDER`, each
-    clamping has an angle of its own instead, if there are `FEWEST_APART`, each further by the
-    golden section of a turn, so that no order repeats.
+    divide the turn into n parts, order n passes for the constant, and orders k and n - k for each
+    other: for orders up to `HIGHEST_ORDER`, each clamping has an angle of its own instead, if there
+    are `FEWEST_APART` and `EVERY_ORDER`, each further by the golden section of a turn, so that no
+    order repeats.
     """
     temperatures, positions = len(settings.temperatures_degc), settings.rotor_positions
     parts, count = positions * ((temperatures + 1) // 2), positions * temperatures
-    if parts <= HIGHEST_ORDER and count >= FEWEST_APART:
+    passes, mixes = parts <= HIGHEST_ORDER, parts <= 2 * HIGHEST_ORDER
+    if (passes and count >= FEWEST_APART) or (mixes and count >= EVERY_ORDER):
         golden = np.arange(count).reshape(temperatures, positions) * (math.sqrt(5) - 1) / 2
         return np.asarray(2 * np.pi * (golden % 1))
     place = np.argsort(np.argsort(settings.temperatures_degc, kind="stable"))

@@ -185,6 +185,25 @@ def test_no_order_of_the_ripple_passes_for_the_constant(positions, temperatures)
         assert off[1] < 0.05 * 54e-6
 
 
+@pytest.mark.parametrize(("positions", "temperatures"), [(7, 4), (10, 3), (6, 7), (9, 3)])
+def test_orders_do_not_pass_for_each_other(positions, temperatures):
+    """Fourteen angles show order 10 as order 4, or take off from it."""
+    degc = tuple(np.linspace(20.0, 50.0, temperatures))
+    settings = CalibrateKt(temperatures_degc=degc, rotor_positions=positions)
+    angle = calibrate_kt.clamping_angles(settings).ravel()
+    design = np.column_stack([np.ones(len(angle)), np.repeat(degc, positions) - 35.0])
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        waves = rng.choice([3, 4, 6, 8, 10, 11, 12], 5, replace=False)
+        size, phase = rng.uniform(0.5, 1, 5), rng.uniform(0, 2 * np.pi, 5)
+        ripple = np.cos(np.outer(angle, waves) + phase) @ size
+        u = np.full(len(angle), 5e-3)
+        found = fit_angle_effects(design, ripple + u * rng.standard_normal(len(angle)), u, angle)
+        true = np.sqrt(size @ size / 2)
+        assert abs(found.deviation - true) < 4 * found.deviation_u
+        assert found.deviation_u < 0.02 * true
+
+
 def test_a_coarse_gauge_is_in_the_budget_and_a_coarser_one_refused(tmp_path):
     coarse = "virtual.sensors.force_resolution=0.01"
     found = run(CALIBRATE_KT, RECIPE, tmp_path / "kt.h5", *SHORT, coarse)
