@@ -75,9 +75,9 @@ def clamping_angles(settings: CalibrateKt) -> Array:
     that of the second highest and so on, so that no order of the amplifier's ripple can pass for a
     change with temperature; the others lie between them, to resolve more orders. Where these angles
     divide the turn into n parts, order n passes for the constant, and orders k and n - k for each
-    other: for orders up to `HIGHEST_ORDER`, each clamping has an angle of its own instead, if there
-    are `FEWEST_APART` and `EVERY_ORDER`, each further by the golden section of a turn, so that no
-    order repeats.
+    other. If this concerns orders up to `HIGHEST_ORDER`, and there are `FEWEST_APART` clampings
+    against the first or `EVERY_ORDER` against the second, each has an angle of its own instead,
+    further by the golden section of a turn, so that no order repeats.
     """
     temperatures, positions = len(settings.temperatures_degc), settings.rotor_positions
     parts, count = positions * ((temperatures + 1) // 2), positions * temperatures

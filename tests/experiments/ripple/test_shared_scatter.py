@@ -41,6 +41,18 @@ def test_intervals_hold_and_none_is_far_off(turns, corner):
     assert np.mean(ratio > 5 / 1.96) < 1e-3
 
 
+def test_a_scatter_counts_by_its_own_degrees_of_freedom():
+    """Of the pooled ones, which are returned: the weight of two variances (Smyth, equation 2)."""
+    own = drawn(np.random.default_rng(8), np.ones(len(ORDER)), 4)[1]
+    floor, dof = shared_floor(ORDER, own, 6)
+    for index in range(20, 80):
+        more = own.copy()
+        more[index] *= 1.001
+        changed, _ = shared_floor(ORDER, more, 6)
+        weight = (changed[index] ** 2 - floor[index] ** 2) / (more[index] ** 2 - own[index] ** 2)
+        assert weight == pytest.approx(6 / dof[index], abs=0.05)
+
+
 def test_an_order_that_differs_from_turn_to_turn_keeps_its_own():
     rng = np.random.default_rng(3)
     variance = np.ones(len(ORDER))
