@@ -291,7 +291,7 @@ def verdict(found: Mutation, tree: Path) -> str:
     file = tree / "rigtool" / found.place
     whole, stat = file.read_bytes(), file.stat()
     file.write_text(found.text, encoding="utf-8")
-    # numba keeps the machine code of what calls a function when only that function's file changes
+    # a mutation's machine code must not replace that of the tree, which the next ones use
     kept = tree.parent / ("mutated" if "@compiled" in found.text else "unchanged")
     try:
         return next(

@@ -2,8 +2,9 @@
 
 The scatter s2 of one order over n turns has d = 2 (n - 1) degrees of freedom: with two turns it is
 less than a twentieth of the true one in one order of 20. Scatter varies little from an order to
-the next, so that the orders around show it as well. The variance sigma2 of an order k is taken as drawn
-around a straight line in log k, as d0 degrees of freedom would show it about s0^2. Its estimate is
+the next, so that the orders around show it as well. The variance sigma2 of an order k is taken as
+drawn around a straight line in log k, as d0 degrees of freedom would show it about s0^2. Its
+estimate is
 
     (d0 s0^2 + d s2) / (d0 + d),   with d0 + d degrees of freedom
 
