@@ -1,10 +1,20 @@
 """Settings of each command: motions, loads, speeds, durations, with their defaults."""
 
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from rigtool.recipe.base import Positive, Section
+
+
+def averaged(samples: int) -> Any:
+    """Return the field of a default of `record_every`, for loops of 8 kHz."""
+    return Field(
+        samples,
+        ge=1,
+        description="samples averaged into a recorded one; the default is for 8 kHz, and other "
+        "loops average for as long",
+    )
 
 
 def require_different_speeds(speeds: tuple[float, ...], low_speeds: tuple[float, ...]) -> None:
@@ -44,7 +54,7 @@ class CalibrateKt(Section):
     reference_range_degc: tuple[float, float] = Field(
         (20, 35), description="range over which one constant value is judged, degC"
     )
-    record_every: int = Field(32, ge=1, description="samples averaged into a recorded one")
+    record_every: int = averaged(32)
 
 
 class Stribeck(Section):
@@ -64,7 +74,7 @@ class Stribeck(Section):
     breakaway_limit: float = Field(12e-3, gt=0, description="highest torque of the ramp, N m")
     breakaway_angle: float = Field(0.02, gt=0, description="motion that counts as breakaway, rad")
     radial_force: float = Field(22.0, ge=0, description="load of the second series, N")
-    record_every: int = Field(8, ge=1, description="samples averaged into a recorded one")
+    record_every: int = averaged(8)
 
 
 class FftRipple(Section):
@@ -81,7 +91,7 @@ class FftRipple(Section):
         0.2, gt=0, description="for the torques and the power cycles, rev/s"
     )
     power_cycles: int = Field(2, ge=0, description="start-ups of the amplifier compared")
-    record_every: int = Field(4, ge=1, description="samples averaged into a recorded one")
+    record_every: int = averaged(4)
 
 
 class IdentifyPlant(Section):
@@ -142,7 +152,7 @@ class LearnLoads(Section):
         description="rising and falling, for each load and speed; 3 whole ones between those that "
         "run in and out show how strokes scatter",
     )
-    record_every: int = Field(16, ge=1, description="samples averaged into a recorded one")
+    record_every: int = averaged(16)
 
     @model_validator(mode="after")
     def _loads_and_speeds_differ(self) -> Self:
@@ -164,7 +174,7 @@ class Turning(Section):
     revolutions: int = Field(20, ge=3, description="averaged at each speed")
     low_speed_revolutions: int = Field(3, ge=3, description="the same for the low speeds")
     sweep_time: float = Field(60.0, gt=0, description="from one end of the speeds to the other, s")
-    record_every: int = Field(4, ge=1, description="samples averaged into a recorded one")
+    record_every: int = averaged(4)
 
     @model_validator(mode="after")
     def _speeds_differ(self) -> Self:
@@ -296,7 +306,7 @@ class MeasureForce(Section):
         5.0, gt=0, description="load for the position of the peak, N (instrument)"
     )
     extra_cycles: int = Field(5, ge=1, description="for these two loads")
-    record_every: int = Field(16, ge=1, description="samples averaged into a recorded one")
+    record_every: int = averaged(16)
     motion: ForceMotion = ForceMotion()
 
     @model_validator(mode="after")

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
-from pydantic import ValidationError, model_validator
+from pydantic import BaseModel, ValidationError, model_validator
 from pydantic_core import InitErrorDetails
 
 from rigtool.errors import RecipeError, UsageError
@@ -32,6 +32,16 @@ MAX_DOTS = 1000
 MAX_DEPTH = 20
 """Tables and lists within each other."""
 
+AVERAGED = (
+    ("calibrate_kt",),
+    ("stribeck",),
+    ("fft_ripple",),
+    ("ilc_learn", "loads"),
+    ("ilc_learn", "turning"),
+    ("measure_force",),
+)
+"""Tables whose default of `record_every` averages over a time: other loops average as long."""
+
 
 class Recipe(Section):
     """A recipe: the rig, parameters of the virtual rig, and settings of the commands."""
@@ -48,6 +58,18 @@ class Recipe(Section):
     ilc_learn: commands.IlcLearn = commands.IlcLearn()
     measure_force: commands.MeasureForce = commands.MeasureForce()
     requirements: commands.Requirements = commands.Requirements()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _averages_as_long(cls, data: object) -> object:
+        rig = data.get("rig") if isinstance(data, dict) else None
+        interval = rig.get("sample_time") if isinstance(rig, dict) else None
+        if not isinstance(interval, int | float) or not interval > 0:
+            return data  # as the fields report, or as by default
+        usual = RigDescription.model_fields["sample_time"].default
+        for tables in AVERAGED:
+            data = _with_record_every(data, cls, tables, usual / interval)
+        return data
 
     @model_validator(mode="after")
     def _has_its_source(self) -> Self:
@@ -84,6 +106,24 @@ class Recipe(Section):
     def resolved(self) -> str:
         """Return the recipe with all defaults filled in, as canonical JSON."""
         return json.dumps(self.model_dump(mode="json"), sort_keys=True)
+
+
+def _with_record_every(
+    data: Any, model: type[BaseModel], tables: tuple[str, ...], factor: float
+) -> Any:
+    """Return tables of a recipe with a default of `record_every` that is `factor` times as large.
+
+    What is no table is left to the fields to report.
+    """
+    if not isinstance(data, dict):
+        return data
+    if not tables:
+        usual = model.model_fields["record_every"].default
+        every = min(max(usual * factor, 1), Section.LARGEST_COUNT)
+        return {"record_every": round(every)} | data
+    inner: Any = model.model_fields[tables[0]].annotation
+    table = data.get(tables[0], {})
+    return data | {tables[0]: _with_record_every(table, inner, tables[1:], factor)}
 
 
 def load_recipe(path: str | Path, overrides: Sequence[str] = ()) -> tuple[Recipe, str]:

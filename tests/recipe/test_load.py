@@ -86,3 +86,39 @@ def test_overrides_change_values_and_are_checked():
         load_recipe(RECIPE, ["virtual.seed"])
     with pytest.raises(UsageError, match="is a value, not a table"):
         load_recipe(RECIPE, ["recipe.x=1"])
+
+
+@pytest.mark.parametrize(
+    ("sample_time", "samples"),
+    [
+        ("125e-6", (32, 8, 4, 16, 4, 16)),
+        ("1e-3", (4, 1, 1, 2, 1, 2)),
+        ("50e-6", (80, 20, 10, 40, 10, 40)),
+    ],
+)
+def test_other_loops_average_for_as_long(sample_time, samples):
+    recipe, _ = load_recipe(RECIPE, [f"rig.sample_time={sample_time}"])
+    learn = recipe.ilc_learn
+    sections = (
+        recipe.calibrate_kt, recipe.stribeck, recipe.fft_ripple, learn.loads, learn.turning,
+        recipe.measure_force,
+    )  # fmt: skip
+    assert tuple(section.record_every for section in sections) == samples
+    assert recipe.measure_force.motion.record_every == 1  # live: each sample
+
+
+def test_a_stated_number_of_samples_stays():
+    settings = ["rig.sample_time=1e-3", "calibrate_kt.record_every=32"]
+    assert load_recipe(RECIPE, settings)[0].calibrate_kt.record_every == 32
+
+
+@pytest.mark.parametrize("value", ["0", "-1", "nan", "1e-320", '"fast"', "[]"])
+def test_a_wrong_sample_time_is_the_only_mistake(value):
+    with pytest.raises(RecipeError, match=r"1 mistake in the recipe\n.*rig\.sample_time"):
+        load_recipe(RECIPE, [f"rig.sample_time={value}"])
+
+
+@pytest.mark.parametrize("table", ["calibrate_kt", "ilc_learn", "ilc_learn.loads"])
+def test_a_value_in_place_of_a_table_is_reported(table):
+    with pytest.raises(RecipeError, match=f"{table}: must be a table"):
+        load_recipe(RECIPE, ["rig.sample_time=1e-3", f"{table}=3"])
