@@ -4,9 +4,11 @@ The deviation of a cycle's torque from the mean cycle is, along a stroke,
 
     e = d (b1 sin a + b2 cos a + b3 s / n) + f,   b1, b2 ~ N(0, S^2),  b3 ~ N(0, L^2)
 
-with f a first-order process of variance F^2 and memory T, and white noise of the readings. S, L, F
-and T are those under which the cycles of all recordings are most likely. Subtracting the mean of n
-cycles lowers the variance: of strokes, of whose variance the mean keeps the part k
+with f a first-order process of variance F^2 and memory T, and white noise of variance
+W^2 + (V m / m_max)^2 under a load of moment m: steps of a coarse encoder shake the torque, and a
+load swings on its tendon. Neither is friction, and neither lasts from one compared row to the next.
+S, L, F, T, W and V are those under which the cycles of all recordings are most likely. Subtracting
+the mean of n cycles lowers the variance: of strokes, of whose variance the mean keeps the part k
 (`kept_by_mean`), 1 - k/n is left, and of f, which does not pay back, 1 - 1/n.
 """
 
@@ -42,8 +44,8 @@ SMALLEST_SCATTER = 1e-12
 """Scatter of cycles that do not differ at all, N m."""
 
 WHITE_PART, LOAD_START, TIME_START = 0.05, 0.01, 0.1
-"""White noise of the readings, in parts of the largest deviation of strokes; L and T, s, at the
-beginning of the search, where S and F are that deviation."""
+"""W and V, in parts of the largest deviation of strokes, L, and T, s, at the beginning of the
+search, where S and F are that deviation. W is at least that."""
 
 SEARCH_RANGE, START_WEIGHT = 12.0, 0.01
 """Range of the logarithms in the search, either way, and the weight of their squares."""
@@ -64,13 +66,15 @@ class Deviations:
 class _Stroke:
     """Deviations of strokes at their rows, `own` (strokes, m); there (m, m) the products of the
     shapes that each stroke draws, `alike` and in proportion to the load, `loaded`, and the time
-    between rows, `apart` s. The mean that was subtracted is that of `count` cycles."""
+    between rows, `apart` s; under a load of `moment` N m. The mean that was subtracted is that of
+    `count` cycles."""
 
     own: Array
     alike: Array
     loaded: Array
     apart: Array
     count: int
+    moment: float
 
 
 def deviations(
@@ -86,26 +90,27 @@ def deviations(
     if not strokes:
         return None
     size = max(float(np.sqrt(np.mean(s.own**2))) for s in strokes)
-    start = np.log([size, LOAD_START, size, TIME_START])
-    white, kept = (WHITE_PART * size) ** 2, kept_by_mean(records, angle_ratio)
+    largest = max(s.moment for s in strokes) or 1.0
+    least, kept = WHITE_PART * size, kept_by_mean(records, angle_ratio)
+    start = np.log([size, LOAD_START, size, TIME_START, least, least])
 
     def cost(x: Array) -> float:
-        stroke, load, noise, memory = np.exp(
+        stroke, load, noise, memory, white, swing = np.exp(
             2 * np.clip(x - start, -SEARCH_RANGE, SEARCH_RANGE) + 2 * start
         )
-        memory = np.sqrt(memory)
+        memory, white = np.sqrt(memory), white + least**2
         total = START_WEIGHT * float(np.sum((x - start) ** 2))
         for s in strokes:
             whole = (1 - kept / s.count) * (stroke * s.alike + load * s.loaded)
             whole += (1 - 1 / s.count) * noise * np.exp(-s.apart / memory)
-            whole[np.diag_indices_from(whole)] += white
+            whole[np.diag_indices_from(whole)] += white + swing * (s.moment / largest) ** 2
             factor = np.linalg.cholesky(whole)
             total += len(s.own) * 2 * float(np.sum(np.log(np.diag(factor))))
             total += float(np.sum(s.own.T * np.linalg.solve(whole, s.own.T)))
         return total
 
-    found = minimize(cost, start, method="Nelder-Mead", options={"maxiter": 300, "fatol": 0.5})
-    return Deviations(*np.exp(found.x).tolist())
+    found = minimize(cost, start, method="Nelder-Mead", options={"maxiter": 800, "fatol": 0.5})
+    return Deviations(*np.exp(found.x[:4]).tolist())
 
 
 def unseen_deviations(records: Sequence[Record]) -> Deviations:
@@ -139,7 +144,7 @@ def _strokes(record: Record, angle_ratio: float, torque_factor: float) -> list[_
         sides = np.stack([np.sin(a), np.cos(a)])
         apart = np.abs(time[:, None] - time)
         alike, loaded = sides.T @ sides, np.outer(carried, carried)
-        found.append(_Stroke(own, alike, loaded, apart, record.cycles))
+        found.append(_Stroke(own, alike, loaded, apart, record.cycles, record.moment))
     return found
 
 

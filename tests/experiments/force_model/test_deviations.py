@@ -180,17 +180,34 @@ def test_the_mean_keeps_what_strokes_do_not_pay_back():
     assert kept_by_mean([record(drawn(2))], RATIO) == 1.0
 
 
+def fading(rng, memory, cycles):
+    """Return first-order noise of unit variance, (cycles, rows)."""
+    kept = math.exp(-1 / (memory * ROWS_HZ))
+    fresh = rng.standard_normal(cycles * COUNT + 200)
+    noise = np.zeros_like(fresh)
+    for k in range(1, len(fresh)):
+        noise[k] = kept * noise[k - 1] + math.sqrt(1 - kept**2) * fresh[k]
+    return noise[200:].reshape(cycles, COUNT)
+
+
+def test_neither_a_coarse_encoder_nor_a_load_that_swings_passes_for_friction():
+    """White noise of all readings; under the load a swing of 6.3 Hz of any phase in each cycle."""
+    rng, records, cycles = np.random.default_rng(9), [], 30
+    for moment in (0.0, 0.0, 0.06):
+        phase = rng.uniform(0, 2 * np.pi, (cycles, 1))
+        swing = np.sin(2 * np.pi * 6.3 * np.arange(COUNT) / ROWS_HZ + phase)
+        torques = 1e-4 * fading(rng, 0.12, cycles) + 2e-4 * rng.standard_normal((cycles, COUNT))
+        records.append(record(torques + 1e-3 * (moment > 0) * swing, moment=moment))
+    found = deviations(records, RATIO, FACTOR)
+    assert found.noise == pytest.approx(1e-4, rel=0.25)
+    assert found.noise_time == pytest.approx(0.12, rel=0.5)
+
+
 @pytest.mark.parametrize("cycles", [3, 8])
 def test_noise_that_fades_is_that_of_single_cycles(cycles):
     """The mean of three cycles takes a third of its variance away, which is given back."""
-    rng, kept = np.random.default_rng(8), math.exp(-1 / (0.15 * ROWS_HZ))
-    records = []
-    for _ in range(48 // cycles):
-        fresh = rng.standard_normal(cycles * COUNT + 200)
-        noise = np.zeros_like(fresh)
-        for k in range(1, len(fresh)):
-            noise[k] = kept * noise[k - 1] + math.sqrt(1 - kept**2) * fresh[k]
-        records.append(record(4e-4 * noise[200:].reshape(cycles, COUNT)))
+    rng = np.random.default_rng(8)
+    records = [record(4e-4 * fading(rng, 0.15, cycles)) for _ in range(48 // cycles)]
     found = deviations(records, RATIO, FACTOR)
     assert found.noise == pytest.approx(4e-4, rel=0.12)
     assert found.noise_time == pytest.approx(0.15, rel=0.4)
