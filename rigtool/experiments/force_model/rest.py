@@ -1,38 +1,36 @@
-"""Learning from rest, reversals and fast turns, by running the filter with nothing on the output.
+"""Learning from rest, reversals and fast turns, by the angles that a filter predicts.
 
 Bristles bend within a count, where the rotor's angle is not seen: a balance of torques at known
-angles cannot show their lengths. The filter of `kalman` follows the angle between the edges. Where
-nothing acts on the output, the torque that it finds there is its error. The error depends smoothly
-on the lengths of the bristles and on how friction is shared between them. These few parameters are
-found by least squares, with the result of sliding as their prior; all other parameters move with
-them by their covariance. Large errors count in proportion (P. J. Huber, Ann. Math. Stat. 35(1)
-73-101, 1964).
-
-Turns of fast strokes show inertia, drag and friction by the angles themselves. A filter that knows
-that nothing acts predicts each angle with a standard deviation s. That the angle lies in its count
-then moves it by d s and leaves the part rho of its variance, and
+angles cannot show their lengths. The filter of `kalman` follows the angle between the edges. A
+filter that knows that nothing acts on the output predicts each angle with a standard deviation s.
+That the angle lies in its count then moves it by d s and leaves the part rho of its variance, and
 
     e = d / sqrt(1 - rho)
 
 has the mean 0 and the variance 1 if the model holds. The parameters are those of the least sum of
-e^2 (prediction errors: K. J. Astrom, Automatica 16(5) 551-574, 1980). The least torque would be
-biased: how much of an error a filter takes for torque depends on the parameters, too.
+e^2 (prediction errors: K. J. Astrom, Automatica 16(5) 551-574, 1980), with the result of sliding as
+their prior: lengths of the bristles and how friction is shared between them by rest and reversals,
+inertia, delay, drag and friction by the turns of fast strokes. All other parameters move with them
+by their covariance. Large errors count in proportion (P. J. Huber, Ann. Math. Stat. 35(1) 73-101,
+1964). The least torque on the output would be biased: how much of an error a filter takes for a
+torque depends on the parameters, and long bristles leave more to friction.
 
-About rest the filter has smaller errors with a shorter bristle than the true one, which turns show,
-even where all else is true. The part of its length that acts there is searched last.
+About rest the filter that reads forces has smaller errors with a shorter bristle than the true one,
+which turns show, even where all else is true. The part of its length that acts there is searched
+last: there that filter finds the least torque, although none acts.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
-from rigtool.experiments.force_filter.estimate import Estimate, Filter, Signals
+from rigtool.experiments.force_filter.estimate import Filter, Signals
 from rigtool.experiments.force_filter.kalman import Uncertainty
+from rigtool.experiments.force_filter.plant import Plant
 from rigtool.experiments.force_model.drive import MotorMap, drive_of, plant_of
 from rigtool.experiments.force_model.intervals import least_at
 from rigtool.experiments.force_model.learning import LearnedModel
@@ -77,12 +75,8 @@ CORNER_HZ = 10.0
 FILTER_SETTLING_TIME = 1.0
 """Settling time of the filter at its begin, s."""
 
-ROWS_HZ = 50.0
 ROW_ERROR = 0.03
-"""Error of a row, in parts of the friction."""
-
-DEVIATION_TIME = 0.4
-"""Usual time for which a deviation of the model lasts, s; that of a stroke lasts for all of it."""
+"""Usual error of the torque about rest, in parts of the friction."""
 
 SHORT, LONG, SHARES = (0.5, 1.0, 2.0), (0.33, 0.66, 1.33, 2.66), (0.1, 0.2)
 """Where the search begins, at the best of all: lengths of both bristles over those of the model,
@@ -149,7 +143,7 @@ def learn_rest(
 ) -> LearnedModel:
     """Return the model, improved by an exploration of rest and reversals."""
     unsure = replace(held(uncertainty), speed_rate=SPEED_RATE)
-    problem = RestProblem(learned, [exploration], unsure, BY_REST)
+    problem = PredictionProblem(learned, [exploration], unsure, BY_REST)
     return problem.solution(problem.tried())
 
 
@@ -175,7 +169,7 @@ def learn_turns(
     grows with the speed squared, other errors there do not. Sliding shows the inertia little, since
     turns are left out there.
     """
-    return TurnsProblem(learned, strokes, held(uncertainty), BY_TURNS).solution([])
+    return PredictionProblem(learned, strokes, held(uncertainty), BY_TURNS).solution([])
 
 
 def learn_resting_part(
@@ -183,20 +177,25 @@ def learn_resting_part(
 ) -> LearnedModel:
     """Return the model with the part of the short bristle's length with which the filter that reads
     forces has the least errors about rest, in the same exploration."""
-    problem = RestProblem(learned, [exploration], held(uncertainty), BY_REST)
+    grid, unmoved = exploration.grid, held(uncertainty)
+    signals = exploration.under(drive_of(learned))
+    rate = 1 / grid.step_time
+    usual = ROW_ERROR * friction_of(plant_of(learned, grid.sample_time))
 
     def with_part(part: float) -> LearnedModel:
         return replace(learned, shape=replace(learned.shape, resting_part=part))
 
     def cost(part: float) -> float:
-        errors = problem.errors_of(with_part(part)) / (problem.scale * HUBER_THRESHOLD)
-        return float(np.sum(np.hypot(1, errors)))
+        plant = plant_of(with_part(part), grid.sample_time)
+        found = Filter(plant, unmoved, grid.step_samples, CORNER_HZ).add(signals)
+        passed = delayed(rate, found.torque, CORNER_HZ)[round(FILTER_SETTLING_TIME * rate) :]
+        return float(np.sum(np.hypot(1, passed / (usual * HUBER_THRESHOLD))))
 
     return with_part(least_at(cost, *RESTING_PARTS))
 
 
-class RestProblem:
-    """Errors of the filter by parameters: logarithms of the two lengths, then what is `shown`.
+class PredictionProblem:
+    """Errors e of the module by parameters: logarithms of the two lengths, then what is `shown`.
 
     Errors of all explorations follow one another; their samples have one length.
     """
@@ -224,19 +223,7 @@ class RestProblem:
         self.covariance = np.zeros((len(self.start), len(self.start)))
         self.covariance[:2, :2] = np.diag(learned.length_u**2)
         self.covariance[2:, 2:] = own
-        plant = plant_of(learned, self.grid.sample_time)
-        self.friction = plant.coulomb + plant.housing_friction
-
-    keep = False
-    """Whether the filter keeps the data of its steps."""
-
-    alike = math.sqrt(DEVIATION_TIME * ROWS_HZ)
-    """Square root of the number of errors that count as one."""
-
-    @property
-    def scale(self) -> float:
-        """Size of an error, N m."""
-        return ROW_ERROR * self.friction
+        self.friction = friction_of(plant_of(learned, self.grid.sample_time))
 
     def model(self, parameters: Array) -> LearnedModel:
         """Return the model with parameters (p,); all others move with them by their covariance."""
@@ -258,25 +245,20 @@ class RestProblem:
 
     def errors(self, parameters: Array) -> Array:
         """Return the errors (r,) of parameters, infinite where they are physically impossible."""
-        return self.errors_of(self.model(parameters))
-
-    def errors_of(self, model: LearnedModel) -> Array:
-        """Return the errors (r,) of a model, infinite where it is physically impossible."""
+        model = self.model(parameters)
         plant = plant_of(model, self.grid.sample_time)
         if not plant_is_sound(plant):
             return np.array([np.inf])
-        drive, parts = drive_of(model), []
+        drive = drive_of(model)
+        settling, parts = round(FILTER_SETTLING_TIME / self.grid.step_time), []
         for exploration in self.explorations:
             found = Filter(plant, self.uncertainty, self.grid.step_samples, CORNER_HZ)
-            parts.append(self.of(found.add(exploration.under(drive), keep=self.keep)))
+            kept = found.add(exploration.under(drive), keep=True).kept
+            assert kept is not None
+            moved, informed, variance = kept[2:5]
+            each = moved * np.sqrt(variance / np.maximum(informed, LEAST_INFORMED))
+            parts.append(each[settling:])
         return np.concatenate(parts)
-
-    def of(self, found: Estimate) -> Array:
-        """Return the torque that the filter finds although none acts, low-passed (r,), N m."""
-        rate = 1 / self.grid.step_time
-        passed = delayed(rate, found.torque, CORNER_HZ)
-        every = max(1, round(rate / ROWS_HZ))
-        return passed[round(FILTER_SETTLING_TIME * rate) :: every]
 
     def tried(self) -> Iterator[Array]:
         """Yield parameters (p,) on a grid of lengths and of the bearing's share of friction."""
@@ -304,10 +286,10 @@ class RestProblem:
         Its covariance comes from both.
         """
         root: Array = np.asarray(np.linalg.cholesky(self.covariance), dtype=np.float64)
-        scale, count = self.scale * self.alike, len(self.start)
+        count = len(self.start)
 
         def cost(x: Array) -> Array:
-            return np.append(self.errors(self.start + root @ x) / scale, x)
+            return np.append(self.errors(self.start + root @ x) / ANGLE_ERROR, x)
 
         def slope(way: Array) -> Array:
             step = PARAMETER_STEP * way
@@ -324,7 +306,7 @@ class RestProblem:
         for _ in range(MAX_ITERATIONS):
             slopes = np.stack([slope(way) for way in np.eye(count)], axis=1)
             weight = np.ones(left.size)
-            weight[:-count] = 1 / np.hypot(1, left[:-count] * self.alike / HUBER_THRESHOLD)
+            weight[:-count] = 1 / np.hypot(1, left[:-count] / HUBER_THRESHOLD)
             information: Array = slopes.T @ (slopes * weight[:, None])
             before = float(weight @ left**2)
             gained = 0.0
@@ -352,17 +334,9 @@ class RestProblem:
         return replace(model, covariance=covariance, length_u=np.sqrt(np.diag(found)[:2]))
 
 
-class TurnsProblem(RestProblem):
-    """The same for the angles that the filter predicts, in standard deviations: e of the module."""
-
-    keep, alike, scale = True, 1.0, ANGLE_ERROR
-
-    def of(self, found: Estimate) -> Array:
-        """Return the corrections of the angles (r,)."""
-        assert found.kept is not None
-        moved, informed, variance = found.kept[2:5]
-        errors: Array = moved * np.sqrt(variance / np.maximum(informed, LEAST_INFORMED))
-        return errors[round(FILTER_SETTLING_TIME / self.grid.step_time) :]
+def friction_of(plant: Plant) -> float:
+    """Return the friction of bearings and housing, N m."""
+    return plant.coulomb + plant.housing_friction
 
 
 def plant_is_sound(plant: object) -> bool:

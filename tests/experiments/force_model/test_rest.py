@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rigtool.experiments.force_filter.estimate import Filter
 from rigtool.experiments.force_filter.plant import (
     ANGLE,
     GRASPER,
@@ -14,15 +15,16 @@ from rigtool.experiments.force_filter.plant import (
     advance,
     as_record,
 )
-from rigtool.experiments.force_model.drive import plant_of
+from rigtool.experiments.force_model.drive import drive_of, plant_of
 from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
 from rigtool.experiments.force_model.records import bristle_scale
 from rigtool.experiments.force_model.rest import (
-    BY_REST,
+    CORNER_HZ,
+    FILTER_SETTLING_TIME,
     SPEED_RATE,
     Exploration,
-    RestProblem,
+    PredictionProblem,
     held,
     learn_rest,
     learn_resting_part,
@@ -30,6 +32,7 @@ from rigtool.experiments.force_model.rest import (
 )
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.numerics.compiled import compiled_allocating
+from rigtool.numerics.lowpass import delayed
 from tests.experiments.force_filter.plants import UNCERTAINTY
 
 COUNT, STEP, CONSTANT = 2 * np.pi / 4000, 125e-6, 0.05
@@ -105,10 +108,12 @@ def turned(wanted, noise, kept, record, friction_map, width):
 
 
 def error(model, motion):
-    """Return the rms of the torque that is found where there is none, N m."""
-    unsure = replace(held(UNCERTAINTY), speed_rate=SPEED_RATE)
-    problem = RestProblem(model, [motion], unsure, BY_REST)
-    return float(np.sqrt(np.mean(problem.errors(problem.start) ** 2)))
+    """Return the rms of the torque that a filter finds where there is none, N m."""
+    unsure, grid = replace(held(UNCERTAINTY), speed_rate=SPEED_RATE), motion.grid
+    plant, rate = plant_of(model, grid.sample_time), 1 / grid.step_time
+    found = Filter(plant, unsure, grid.step_samples, CORNER_HZ).add(motion.under(drive_of(model)))
+    passed = delayed(rate, found.torque, CORNER_HZ)[round(FILTER_SETTLING_TIME * rate) :]
+    return float(np.sqrt(np.mean(passed**2)))
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +148,7 @@ def test_the_sum_of_friction_stays_what_sliding_showed(learned):
 
 def test_uncertainty_shrinks_where_rest_shows_something(learned):
     truth, _, found, _ = learned
-    assert np.all(found.length_u < 0.45 * truth.length_u)
+    assert np.all(found.length_u < 0.5 * truth.length_u)
     bearing = len(SLIDING_PARAMETERS) + list(FRICTIONS).index(Kind.BEARING)
     assert found.covariance[bearing, bearing] < truth.covariance[bearing, bearing]
     assert np.linalg.eigvalsh(found.covariance).min() > -1e-12
@@ -154,7 +159,7 @@ def test_a_slope_is_taken_on_the_side_that_is_physically_possible(monkeypatch):
         away = parameters - self.start
         return np.full(1, np.inf) if away[0] > 0 else 1e-4 * (1 + np.resize(away, 50))
 
-    monkeypatch.setattr(RestProblem, "errors", errors)
+    monkeypatch.setattr(PredictionProblem, "errors", errors)
     found = learn_rest(model(), explored(model(), 2.0), UNCERTAINTY)
     assert np.all(np.isfinite(found.length_u))
     assert np.all(np.isfinite(found.covariance))
@@ -167,7 +172,7 @@ def test_a_fine_encoder_shows_bristles_of_many_counts_and_of_few(lengths):
     motion = explored(truth, 4.0, sizes=(0.005, 0.4), width=width)
     begun = bristle_scale(2.6, width)
     found = learn_rest(with_lengths(truth, begun, 6 * begun), motion, UNCERTAINTY)
-    assert found.shape.housing_length == pytest.approx(truth.shape.housing_length, rel=0.25)
+    assert found.shape.housing_length == pytest.approx(truth.shape.housing_length, rel=0.35)
     assert error(found, motion) < error(truth, motion)
 
 

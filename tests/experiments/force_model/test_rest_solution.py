@@ -7,30 +7,23 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rigtool.experiments.force_filter.estimate import Estimate
-from rigtool.experiments.force_filter.plant import TORQUE
+from rigtool.experiments.force_model import rest
 from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
 from rigtool.experiments.force_model.rest import (
     ANGLE_ERROR,
     BY_REST,
-    CORNER_HZ,
-    DEVIATION_TIME,
     FILTER_SETTLING_TIME,
     HUBER_THRESHOLD,
     LEAST_INFORMED,
-    ROW_ERROR,
-    ROWS_HZ,
     SHARES,
     UNTOUCHED_RANDOM_WALK,
     Exploration,
-    RestProblem,
-    TurnsProblem,
+    PredictionProblem,
     held,
     plant_is_sound,
 )
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
-from rigtool.numerics.lowpass import delayed
 from tests.experiments.force_filter.plants import UNCERTAINTY
 
 SHAPE = Shape(2e-3, 8e-3, 5e-3, 0.3, 0.03, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3)
@@ -51,9 +44,9 @@ def learned():
     return LearnedModel(TERMS, SHAPE, known, COEFFICIENT, root @ root.T, np.array([0.5, 0.4]))
 
 
-def problem(kind=RestProblem, count=1e-3):
-    own = Exploration(np.zeros(9), np.zeros(9), STEP, 0.05, count, STEP)
-    return kind(learned(), [own], UNCERTAINTY, BY_REST)
+def problem(count=1e-3, length=9):
+    own = Exploration(np.zeros(length), np.zeros(length), STEP, 0.05, count, STEP)
+    return PredictionProblem(learned(), [own], UNCERTAINTY, BY_REST)
 
 
 def linear(own, truth, slopes):
@@ -68,8 +61,6 @@ def test_parameters_are_the_lengths_and_what_rest_shows():
     assert_allclose(own.start[2:4], np.log([5e-3, 0.3]))
     assert_allclose(own.start[4:], COEFFICIENT[1:])
     assert own.friction == pytest.approx(2e-3 + 9e-3)
-    assert own.scale == pytest.approx(ROW_ERROR * own.friction)
-    assert own.alike**2 == pytest.approx(DEVIATION_TIME * ROWS_HZ)
     assert_allclose(np.diag(own.covariance)[:2], [0.25, 0.16])
     assert_allclose(own.covariance[2:, 2:], learned().covariance[np.ix_(own.shown, own.shown)])
     assert_allclose(own.parameters(learned()), own.start)
@@ -93,16 +84,15 @@ def test_other_parameters_follow_by_their_covariance():
 
 @pytest.mark.parametrize("far", [0.5, 6.0])
 def test_the_solution_is_the_mean_of_errors_and_prior(far):
-    """Small errors of rows of which `alike`^2 count as one; a step has a limit, a way has none."""
+    """Errors of `ANGLE_ERROR` count as one deviation; a step has a limit, a way has none."""
     own, rng = problem(), np.random.default_rng(2)
     size = len(own.start)
     deviation = np.sqrt(np.diag(own.covariance))
     truth = own.start + far * deviation * rng.choice([-1, 1], size)
-    scale = own.scale * own.alike
     # errors stay small against the threshold of Huber's weights
-    slopes = 0.02 * own.scale / far * rng.standard_normal((4000, size)) / deviation
+    slopes = 0.02 * ANGLE_ERROR / far * rng.standard_normal((4000, size)) / deviation
     found = linear(own, truth, slopes).solution([])
-    normal = slopes.T @ slopes / scale**2
+    normal = slopes.T @ slopes / ANGLE_ERROR**2
     u2 = np.linalg.inv(normal + np.linalg.inv(own.covariance))
     expected = own.start + u2 @ normal @ (truth - own.start)
     assert_allclose((own.parameters(found) - expected) / deviation, 0, atol=0.02 * max(far, 1))
@@ -120,16 +110,18 @@ def test_large_errors_count_by_their_size_and_not_by_its_square():
     """One parameter in the mean of errors, of which some are far off: the mean by Huber's weights
     1 / sqrt(1 + (e / (2 scale))^2)."""
     own, rng = problem(), np.random.default_rng(3)
-    errors = own.scale * np.concatenate([rng.standard_normal(3000), 40 + rng.standard_normal(300)])
-    slope = 20 * own.scale / math.sqrt(own.covariance[0, 0])
+    errors = ANGLE_ERROR * np.concatenate(
+        [rng.standard_normal(3000), 40 + rng.standard_normal(300)]
+    )
+    slope = 20 * ANGLE_ERROR / math.sqrt(own.covariance[0, 0])
     own.errors = lambda parameters: errors - slope * (parameters[0] - own.start[0])
     found = math.log(own.solution([]).shape.bearing_length) - own.start[0]
     here = 0.0
     for _ in range(500):
         left = errors - slope * here
-        weight = 1 / np.hypot(1, left / own.scale / HUBER_THRESHOLD)
-        normal = weight.sum() * slope**2 / (own.scale * own.alike) ** 2
-        right = weight @ errors * slope / (own.scale * own.alike) ** 2
+        weight = 1 / np.hypot(1, left / ANGLE_ERROR / HUBER_THRESHOLD)
+        normal = weight.sum() * slope**2 / ANGLE_ERROR**2
+        right = weight @ errors * slope / ANGLE_ERROR**2
         here = right / (normal + 1 / own.covariance[0, 0])
     assert found == pytest.approx(here, rel=0.05)
     assert here < 0.3 * errors.mean() / slope
@@ -143,7 +135,7 @@ def test_the_search_begins_at_the_best_place():
     def errors(parameters):
         x = (parameters[0] - own.start[0]) / deviation
         depth = np.minimum(np.abs(x) + 0.5, 4 * np.abs(x - 1.5))
-        return own.scale * own.alike * depth * np.ones(30)
+        return ANGLE_ERROR * depth * np.ones(30)
 
     own.errors = errors
     other = own.start.copy()
@@ -156,7 +148,7 @@ def test_impossible_parameters_are_stepped_around():
     """Where one side has no errors, slopes come from the other one and steps are shorter."""
     own, rng = problem(), np.random.default_rng(4)
     deviation = np.sqrt(np.diag(own.covariance))
-    slopes = 0.02 * own.scale * rng.standard_normal((4000, len(own.start))) / deviation
+    slopes = 0.02 * ANGLE_ERROR * rng.standard_normal((4000, len(own.start))) / deviation
     truth = own.start + deviation
 
     def errors(parameters):
@@ -166,7 +158,7 @@ def test_impossible_parameters_are_stepped_around():
 
     own.errors = errors
     found = (own.parameters(own.solution([])) - own.start) / deviation
-    normal = slopes.T @ slopes / (own.scale * own.alike) ** 2
+    normal = slopes.T @ slopes / ANGLE_ERROR**2
     u2 = np.linalg.inv(normal + np.linalg.inv(own.covariance))
     expected = (u2 @ normal @ deviation) / deviation
     assert_allclose(found, expected, atol=0.1)
@@ -193,32 +185,23 @@ def test_the_search_tries_lengths_and_shares_of_the_friction(count, halves):
     assert_allclose(tried[:, rest], np.tile(own.start[rest], (len(tried), 1)))
 
 
-def estimate(torque, kept=None):
-    states = np.zeros((len(torque), 12))
-    states[:, TORQUE] = torque
-    none = np.zeros(len(torque))
-    return Estimate(states, np.zeros((len(torque), 9)), none, none.astype(bool), kept)
-
-
-def test_errors_are_the_torque_that_is_found_fifty_times_a_second():
-    rng = np.random.default_rng(5)
-    torque = rng.standard_normal(3000)
-    own = problem()
-    every = round(1 / STEP / ROWS_HZ)
-    expected = delayed(1 / STEP, torque, CORNER_HZ)[round(FILTER_SETTLING_TIME / STEP) :: every]
-    assert_allclose(own.of(estimate(torque)), expected)
-    assert len(expected) == 100
-
-
-def test_errors_at_turns_are_corrections_in_deviations_of_what_they_show():
+def test_errors_are_corrections_in_deviations_of_what_they_show(monkeypatch):
     rng = np.random.default_rng(6)
     moved, variance = rng.standard_normal(1500), rng.uniform(1, 2, 1500)
     informed = rng.uniform(0, 0.5, 1500)
-    kept = (None, None, moved, informed, variance)
-    own = problem(TurnsProblem)
+
+    class Known:
+        def __init__(self, *_):
+            pass
+
+        def add(self, _, keep):
+            assert keep
+            return SimpleNamespace(kept=(None, None, moved, informed, variance))
+
+    monkeypatch.setattr(rest, "Filter", Known)
+    own = problem(length=1500)
     expected = moved * np.sqrt(variance / np.maximum(informed, LEAST_INFORMED))
-    assert_allclose(own.of(estimate(np.zeros(1500), kept)), expected[1000:])
-    assert (own.scale, own.alike, own.keep) == (ANGLE_ERROR, 1.0, True)
+    assert_allclose(own.errors(own.start), expected[round(FILTER_SETTLING_TIME / STEP) :])
 
 
 def test_frictions_and_inertia_are_above_zero():
