@@ -288,7 +288,7 @@ class Sizes:
     speed: float
 
 
-COGGING_ORDERS, RIPPLE_ORDERS, GAIN_ORDERS = range(1, 13), range(1, 7), range(1, 5)
+COGGING_ORDERS, RIPPLE_ORDERS, GAIN_ORDERS = range(1, 13), range(1, 7), range(1, 7)
 HOUSING_ORDERS, LOAD_FRICTION_ORDERS = range(1, 7), range(1, 3)
 
 OFFSET_SPREAD = 0.01
