@@ -126,8 +126,9 @@ STATE = np.dtype(
         ("lastings", "f8", (2, 2, 2)),
         ("lasts", "f8", (2,)),
         ("other", "f8"),  # logarithm of the likelihoods' ratio
-        # of all hypotheses: weights of these two, mean and covariance (its lower part) of the ripple,
-        # and the variance on the output that holds now
+        ("others", "f8", (2,)),  # as it was, as means
+        # of all hypotheses: weights of these two, mean and covariance (its lower part) of the
+        # ripple, and the variance on the output that holds now
         ("weights", "f8", (2,)),
         ("known", "f8", (WAVE_COUNT,)),
         ("doubt", "f8", (WAVE_COUNT, WAVE_COUNT)),
@@ -175,6 +176,10 @@ def read_row(s: Record, p: Record) -> None:
             if first * first + second * second > LARGEST_RIPPLE_RATIO**2 * square:
                 _begin_anew(s)
                 break
+        if min(s.touched[0], s.touched[1]) > RECOGNISED:
+            s.others[1] = s.other = s.others[0]
+        elif s.touched[1] <= RECOGNISED and s.since[1] + 1.0 >= p.late:
+            s.others[0], s.others[1] = s.others[1], s.other
         for h in range(2):
             _take_back(s, p, h)
     mix(s)
@@ -342,7 +347,7 @@ def _take_back(s: Record, p: Record, h: int) -> None:
 @compiled_allocating
 def _begin_anew(s: Record) -> None:
     """Forget another power-up's ripple: what was taken for it is too large."""
-    s.other = min(s.other, 0.0)
+    s.others[:] = s.other = min(s.other, 0.0)
     for i in range(WAVE_COUNT):
         s.mean[1, i], s.shift[1, i] = s.expected[1, i], 0.0
         for j in range(WAVE_COUNT + 1):
