@@ -4,29 +4,33 @@ Of a torque M on the output the filter finds, at the torque factor n,
 
     M^ = M + n sum of beta_j lag(w_j) + e,    w_j cosine and sine of orders of the rotor's angle
 
-with beta what the amplifier's ripple is off from the learned one, c. Either the power-up is that of
-the learning, beta = 0, or another: c + beta then has amplitudes A with other phases,
+with beta what the amplifier's ripple is off from the learned one, c. Either the power-up is another
+one: c + beta has amplitudes A with other phases,
 
-    beta ~ N(-c, A^2 / 2),    A^2 = |c|^2 + share of the variance of c, of each order.
+    beta ~ N(-c, A^2 / 2),    A^2 = |c|^2 + share of the variance of c, of each order,
+
+or the ripple is near the learned one, beta ~ N(0, `CHANGED`^2 A^2 / 2), or it is the learned one.
 
 Along a part of a turn the low orders look like the housing's friction, so that c may be far smaller
 than the ripple is. A weak force that repeats with the angle looks like ripple, too. Once an order
-of c + beta is more than `LARGEST_RIPPLE_RATIO` times A it is none, and the second hypothesis begins
+of c + beta is more than `LARGEST_RIPPLE_RATIO` times A it is none, and what is known of it begins
 anew.
 
-Under each hypothesis a Kalman filter reads M^ row by row. Where nothing touches, M is what strokes
+Under the first two a Kalman filter reads M^ row by row. Where nothing touches, M is what strokes
 deviate by: about zero, and drawn anew by a reversal. So the mean of the ripple along the part of a
 turn that a motion uses shows, too. Where something touches, M^ is a random walk that may leap, and
 shows no ripple. Contacts begin and end at a rate, and a row counts by the probability that nothing
 touches (probabilistic data association: Y. Bar-Shalom, E. Tse, Automatica 11(5) 451-460, 1975), so
 that a weak contact is not taken for ripple. A contact that grows slowly, or begins while the ripple
 is not yet known, is recognised late, by its end at the latest: what the rows just before it added
-is then taken back. The likelihoods of both hypotheses weigh them, by less than their ratio: the
-errors of rows that follow one another are alike. Given is
+is then taken back. The likelihoods weigh the hypotheses, by less than their ratio: the errors of
+rows that follow one another are alike. The learned ripple itself needs no filter: its likelihood
+over that of one near it is the density of beta = 0, over what it was before any row (J. M. Dickey,
+Ann. Math. Stat. 42(1) 204-223, 1971). Given is
 the mean of the mixture, and its variance (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with
 Applications to Tracking and Navigation, 2001, section 11.6.2, static multiple models).
 
-A weak contact may also act all the time (`lasting_contact`), under each hypothesis.
+A weak contact may also act all the time (`lasting_contact`), under each of the two.
 
 What of the ripple grows with the current is in the variance alone (`drawn_ripple`).
 

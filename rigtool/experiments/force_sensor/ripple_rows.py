@@ -1,6 +1,6 @@
 """Rows of the torque on the output, each read under two hypotheses of the amplifier's ripple.
 
-A row is the mean of some steps. Under either hypothesis of `power_up` its value y is
+A row is the mean of some steps. Under each of two hypotheses of `power_up` its value y is
 
     y = sum of beta_j w_j + M + e   where nothing touches, else a random walk that may leap,
 
@@ -193,7 +193,7 @@ def read_row(s: Record, p: Record) -> None:
 @compiled_allocating
 def _same(s: Record) -> float:
     """Return the logarithm of the likelihoods' ratio of the learned ripple itself to one near it:
-    the density of no change over what it was before any row (J. M. Dickey 1971)."""
+    the density of no change over what it was before any row (`power_up`)."""
     root, left = np.zeros((WAVE_COUNT, WAVE_COUNT)), np.zeros(WAVE_COUNT)
     total = 0.0
     for i in range(WAVE_COUNT):

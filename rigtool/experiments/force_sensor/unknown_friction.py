@@ -119,7 +119,8 @@ class Passes:
 
 @dataclass(frozen=True)
 class UnknownFriction:
-    """H `size` and w `widening`, N m; H over u, and the size of the median of h over u, `typical`."""
+    """H `size` and w `widening`, N m; H over u, and the median of h over u without its sign,
+    `typical`."""
 
     size: float
     widening: float
