@@ -123,10 +123,11 @@ struct rs_model {
     /* ripple of another power-up: experiments/force_sensor/power_up.py has the equations */
     rs_real wave_kept, wave_held, wave_shown, wave_slow, wave_turn;
     rs_real wave_growing[RS_GROWING][3]; /* squares by powers of the current */
-    rs_real wave_mean[RS_WAVES], wave_variance[RS_WAVES], wave_doubt[RS_WAVES];
+    /* under either hypothesis, the learned power-up first */
+    rs_real wave_mean[2][RS_WAVES], wave_variance[2][RS_WAVES], wave_doubt[2][RS_WAVES];
     rs_real row_noise, row_walk[2], row_reversal, row_contact, row_untouched, row_kept;
     rs_real row_begins, row_ends, row_changes, row_least, row_evidence, row_certain, row_largest;
-    rs_real row_recognised, row_lasts, row_lasting, row_drift, row_least_lasts;
+    rs_real row_recognised, row_lasts, row_lasting, row_drift, row_least_lasts, row_same;
     /* states */
     rs_real sliding, slow, crawling, speed_limit, torque_limit;
     rs_real current_limit, largest_current, cold, warm;
@@ -154,6 +155,14 @@ struct rs_ripple {
     rs_real shift[RS_PARTS], lasting[2];
 };
 
+/* A hypothesis of that ripple: what is known, and was, the earlier first; the probabilities that
+ * something touches, and that a contact lasts; rows since the later one. */
+struct rs_hypothesis {
+    struct rs_ripple known, before[2];
+    rs_real touched, lasts;
+    int since;
+};
+
 /* The filter; its numbers are for nobody else. */
 struct rigtool_sensor {
     /* samples until they are one of the equations */
@@ -175,22 +184,20 @@ struct rigtool_sensor {
     rs_real turn; /* of the output at this count, in turns */
     rs_real at, sine, cosine; /* of the output at the begin of the step */
     int begun, samples, creeps, crawls;
-    /* the row that is filled, torque first; and what was known of the ripple, the earlier first; the
-     * last wave is what is taken off the drive torque, by `held` */
+    /* the row that is filled, torque first; the last wave is what is taken off the drive torque, by
+     * `held` */
     struct rs_shown shown[RS_WAVES + 1];
     rs_real gain[RS_STATES], stroke;
     rs_real held[RS_WAVES], taken;
     int held_steps;
     rs_real waves[RS_WAVES + 1], row[RS_PARTS], ripple_q[RS_ORDER];
-    struct rs_ripple known, before[2];
-    rs_real plain, plain_variance; /* without it */
-    rs_real other, weight; /* logarithm of the likelihoods' ratio; the other one's probability */
-    /* without it: a contact that lasts, as above; its probability, with and without it */
-    rs_real plain_shift, plain_lasting[2], lasts, plain_lasts;
-    rs_real touched, plain_touched; /* the probability that something touches, with and without it */
+    struct rs_hypothesis hypotheses[2]; /* near the learned ripple, and another one */
+    rs_real other, others[2]; /* logarithm of the second's likelihood over the first's; as it was */
+    /* of all: both weights, the rest is the learned ripple's; mean of the ripple, and variance */
+    rs_real weights[2], ripples[RS_WAVES], ripple_spread;
     rs_real level[2], level_variance[2], fast; /* then: by a slow, a fast walk; probability of that */
     int row_length, row_drawn, row_steps, row_slid;
-    int doubted, since; /* the wave whose doubt grows next; rows since then */
+    int doubted; /* the wave whose doubt grows next */
     /* states: counts of the last steps, and for how many steps they were one of two */
     int32_t history[RS_SPEED_STEPS];
     int steps, next, still_up, still_down, limit_left;
@@ -856,56 +863,57 @@ static inline rs_real rs_touching(struct rigtool_sensor *s)
 /* Forget another power-up's ripple: what was taken for it is too large. */
 static inline void rs_begin_anew(struct rigtool_sensor *s)
 {
+    struct rs_hypothesis *h = &s->hypotheses[1];
     int i, j;
     for (j = 1; j < RS_PARTS; j++) {
-        s->known.d[0] += rs_square(s->known.u[0][j]) * s->known.d[j];
-        s->known.d[j] = rs_model.wave_variance[j - 1];
-        s->known.mean[j] = rs_model.wave_mean[j - 1];
-        s->known.shift[j] = 0;
+        h->known.d[0] += rs_square(h->known.u[0][j]) * h->known.d[j];
+        h->known.d[j] = rs_model.wave_variance[1][j - 1];
+        h->known.mean[j] = rs_model.wave_mean[1][j - 1];
+        h->known.shift[j] = 0;
         for (i = 0; i < j; i++)
-            s->known.u[i][j] = 0;
+            h->known.u[i][j] = 0;
     }
     if (s->other > 0)
         s->other = 0;
-    s->before[0] = s->before[1] = s->known;
+    s->others[0] = s->others[1] = s->other;
+    h->before[0] = h->before[1] = h->known;
 }
 
 /* Go back to what was known before a contact that is recognised, or keep what is known now. */
-static inline void rs_take_back(struct rigtool_sensor *s)
+static inline void rs_take_back(struct rs_hypothesis *h)
 {
     int j;
-    s->since++;
-    if (s->touched > rs_model.row_recognised) {
-        s->known = s->before[1] = s->before[0];
-        s->known.mean[0] = s->known.shift[0] = 0;
-        s->known.d[0] = rs_model.row_untouched;
+    h->since++;
+    if (h->touched > rs_model.row_recognised) {
+        h->known = h->before[1] = h->before[0];
+        h->known.mean[0] = h->known.shift[0] = 0;
+        h->known.d[0] = rs_model.row_untouched;
         for (j = 1; j < RS_PARTS; j++)
-            s->known.u[0][j] = 0;
-    } else if (s->since >= RS_LATE_ROWS) {
-        s->before[0] = s->before[1];
-        s->before[1] = s->known;
+            h->known.u[0][j] = 0;
+    } else if (h->since >= RS_LATE_ROWS) {
+        h->before[0] = h->before[1];
+        h->before[1] = h->known;
     } else {
         return;
     }
-    s->since = 0;
+    h->since = 0;
 }
 
-/* Let the doubt of one wave grow, of each in turn: U D U' + e q e', W. S. Agee, R. H. Turner 1972. */
-static inline void rs_doubt(struct rigtool_sensor *s)
+/* Let the doubt of a wave grow: U D U' + e q e', W. S. Agee, R. H. Turner 1972. */
+static inline void rs_doubt(struct rs_ripple *known, int wave, rs_real sum)
 {
-    rs_real add[RS_PARTS] = {0}, sum = rs_model.wave_doubt[s->doubted];
-    int i, j = s->doubted + 1;
-    s->doubted = s->doubted + 1 < RS_WAVES ? s->doubted + 1 : 0;
+    rs_real add[RS_PARTS] = {0};
+    int i, j = wave + 1;
     for (add[j] = 1; j >= 0; j--) {
-        const rs_real whole = s->known.d[j] + sum * rs_square(add[j]);
+        const rs_real whole = known->d[j] + sum * rs_square(add[j]);
         const rs_real gain = whole > 0 ? sum * add[j] / whole : (rs_real)0; /* no such order */
         for (i = 0; i < j; i++) {
-            add[i] -= add[j] * s->known.u[i][j];
-            s->known.u[i][j] += gain * add[i];
+            add[i] -= add[j] * known->u[i][j];
+            known->u[i][j] += gain * add[i];
         }
         if (whole > 0)
-            sum *= s->known.d[j] / whole;
-        s->known.d[j] = whole;
+            sum *= known->d[j] / whole;
+        known->d[j] = whole;
     }
 }
 
@@ -931,91 +939,133 @@ static inline rs_real rs_counted(rs_real *lasts, rs_real one, rs_real other)
     return together;
 }
 
-/* The part of the logarithm of a row's likelihood under the learned ripple; it is taken in there. */
-static inline rs_real rs_plain(struct rigtool_sensor *s, rs_real touching)
-{
-    const rs_real error = s->row[0] - s->plain;
-    const rs_real variance = s->plain_variance + rs_model.row_noise, seen = 1 + s->plain_shift;
-    rs_real before = s->plain_touched, likely, other, part;
-    likely = rs_weighed(&s->plain_touched, rs_density(error, variance), touching);
-    part = 1 - s->plain_touched;
-    other = rs_lasts(s->plain_lasting, error, seen, variance, part);
-    other = rs_weighed(&before, other, touching);
-    part *= s->plain_variance / variance;
-    s->plain += part * error;
-    s->plain_shift -= part * seen;
-    s->plain_variance *= 1 - part;
-    return rs_counted(&s->plain_lasts, likely, other);
-}
-
-/* The part of the logarithm of a row's likelihood under other ripple; it is taken in there. */
-static inline rs_real rs_by_ripple(struct rigtool_sensor *s, rs_real touching)
+/* The part of the logarithm of a row's likelihood under a hypothesis; it is taken in there. */
+static inline rs_real rs_by_ripple(
+    struct rs_hypothesis *h, const rs_real *row, rs_real touching)
 {
     const struct rs_model *m = &rs_model;
-    rs_real error = s->row[0] - s->known.mean[0], variance = m->row_noise, likely, sum;
-    rs_real seen = 1 + s->known.shift[0], before = s->touched, other;
+    struct rs_ripple *known = &h->known;
+    rs_real error = row[0] - known->mean[0], variance = m->row_noise, likely, sum;
+    rs_real seen = 1 + known->shift[0], before = h->touched, other;
     rs_real by[RS_PARTS], part[RS_PARTS], column[RS_PARTS];
     int i, j;
     for (j = 0; j < RS_PARTS; j++) {
-        by[j] = j ? s->row[j] : (rs_real)1;
+        by[j] = j ? row[j] : (rs_real)1;
         if (j) {
-            error -= s->row[j] * s->known.mean[j];
-            seen += s->row[j] * s->known.shift[j];
+            error -= row[j] * known->mean[j];
+            seen += row[j] * known->shift[j];
         }
         for (i = 0; i < j; i++)
-            by[j] += s->known.u[i][j] * (i ? s->row[i] : (rs_real)1);
-        part[j] = s->known.d[j] * by[j];
+            by[j] += known->u[i][j] * (i ? row[i] : (rs_real)1);
+        part[j] = known->d[j] * by[j];
         variance += part[j] * by[j];
     }
-    likely = rs_weighed(&s->touched, rs_density(error, variance), touching);
-    other = rs_lasts(s->known.lasting, error, seen, variance, 1 - s->touched);
+    likely = rs_weighed(&h->touched, rs_density(error, variance), touching);
+    other = rs_lasts(known->lasting, error, seen, variance, 1 - h->touched);
     other = rs_weighed(&before, other, touching);
-    likely = rs_counted(&s->lasts, likely, other);
-    if (s->touched > 1 - m->row_least)
+    likely = rs_counted(&h->lasts, likely, other);
+    if (h->touched > 1 - m->row_least)
         return likely;
     /* as much noise as lets the row count by the probability that nothing touches */
-    sum = variance / (1 - s->touched);
+    sum = variance / (1 - h->touched);
     error /= sum;
     seen /= sum;
     sum -= variance - m->row_noise;
     for (j = 0; j < RS_PARTS; j++) {
         const rs_real gain = -by[j] / sum, whole = sum + part[j] * by[j];
         for (i = 0; i < j; i++) {
-            const rs_real old = s->known.u[i][j];
-            s->known.u[i][j] = old + gain * column[i];
+            const rs_real old = known->u[i][j];
+            known->u[i][j] = old + gain * column[i];
             column[i] += old * part[j];
         }
         column[j] = part[j];
-        s->known.d[j] *= sum / whole;
+        known->d[j] *= sum / whole;
         sum = whole;
     }
     for (j = 0; j < RS_PARTS; j++) {
-        s->known.mean[j] += column[j] * error;
-        s->known.shift[j] -= column[j] * seen;
+        known->mean[j] += column[j] * error;
+        known->shift[j] -= column[j] * seen;
     }
     return likely;
+}
+
+/* What a hypothesis expects of a wave's coefficient. */
+static inline rs_real rs_expected(const struct rs_hypothesis *h, int wave)
+{
+    return h->known.mean[wave + 1] + h->lasts * h->known.lasting[0] * h->known.shift[wave + 1];
+}
+
+/* The logarithm of the likelihoods' ratio of the learned ripple itself to one near it: the density
+ * of no change over what it was before any row (J. M. Dickey 1971). */
+static inline rs_real rs_same(const struct rs_hypothesis *h)
+{
+    const rs_real *drawn = rs_model.wave_variance[0];
+    rs_real left[RS_WAVES], total = 0, part = 1;
+    int i, j;
+    for (j = RS_WAVES - 1; j >= 0; j--) {
+        const rs_real own = h->known.d[j + 1];
+        left[j] = 0;
+        if (!(drawn[j] > 0)) /* no such order */
+            continue;
+        left[j] = rs_expected(h, j);
+        for (i = j + 1; i < RS_WAVES; i++)
+            left[j] -= h->known.u[j + 1][i + 1] * left[i];
+        total -= rs_square(left[j]) / own;
+        part *= own / drawn[j];
+        if (j % 2 == 0) { /* an order */
+            total -= RS_MATH(log)(part);
+            part = 1;
+        }
+    }
+    return total / 2;
+}
+
+/* Put the hypotheses together. */
+static inline void rs_mix(struct rigtool_sensor *s)
+{
+    const struct rs_model *m = &rs_model;
+    rs_real same = m->row_evidence * rs_same(&s->hypotheses[0]), near = 1 - m->row_same, other;
+    int j;
+    same = same > m->row_certain ? m->row_certain : same < -m->row_certain ? -m->row_certain : same;
+    same = m->row_same * RS_MATH(exp)(same);
+    other = RS_MATH(exp)(s->other);
+    s->weights[0] = near / (same + near + other);
+    s->weights[1] = other / (same + near + other);
+    for (j = 0; j < RS_WAVES; j++)
+        s->ripples[j] = s->weights[0] * rs_expected(&s->hypotheses[0], j)
+            + s->weights[1] * rs_expected(&s->hypotheses[1], j);
 }
 
 /* Take in a row that slides, under both hypotheses. */
 static inline void rs_take(struct rigtool_sensor *s)
 {
     const struct rs_model *m = &rs_model;
-    const rs_real touching = rs_touching(s), likely = rs_by_ripple(s, touching);
+    const rs_real touching = rs_touching(s), *c = m->wave_mean[1], *drawn = m->wave_variance[1];
+    const rs_real *beta = &s->hypotheses[1].known.mean[1];
     int j;
-    s->other += likely - rs_plain(s, touching);
+    s->other -= rs_by_ripple(&s->hypotheses[0], s->row, touching);
+    s->other += rs_by_ripple(&s->hypotheses[1], s->row, touching);
     if (s->other > m->row_certain)
         s->other = m->row_certain;
     if (s->other < -m->row_certain)
         s->other = -m->row_certain;
     for (j = 0; j < RS_WAVES; j += 2) {
-        const rs_real *c = &m->wave_mean[j], *beta = &s->known.mean[j + 1];
-        if (rs_square(beta[0] - c[0]) + rs_square(beta[1] - c[1])
-            > m->row_largest * (m->wave_variance[j] + m->wave_variance[j + 1])) {
+        if (rs_square(beta[j] - c[j]) + rs_square(beta[j + 1] - c[j + 1])
+            > m->row_largest * (drawn[j] + drawn[j + 1])) {
             rs_begin_anew(s); /* a force that repeats with the angle */
             break;
         }
     }
-    rs_take_back(s);
+    if (s->hypotheses[0].touched > m->row_recognised
+        && s->hypotheses[1].touched > m->row_recognised) {
+        s->others[1] = s->other = s->others[0];
+    } else if (s->hypotheses[1].touched <= m->row_recognised
+               && s->hypotheses[1].since + 1 >= RS_LATE_ROWS) {
+        s->others[0] = s->others[1];
+        s->others[1] = s->other;
+    }
+    for (j = 0; j < 2; j++)
+        rs_take_back(&s->hypotheses[j]);
 }
 
 /* Go on to the end of a row. */
@@ -1024,27 +1074,27 @@ static inline void rs_pass_time(struct rigtool_sensor *s, int slides)
     const struct rs_model *m = &rs_model;
     const rs_real kept = slides ? m->row_kept : (rs_real)0;
     const rs_real fresh = (1 - kept * kept) * m->row_untouched;
-    int i;
-    s->touched += m->row_begins - (m->row_begins + m->row_ends) * s->touched;
-    s->plain_touched += m->row_begins - (m->row_begins + m->row_ends) * s->plain_touched;
+    int i, j;
     s->fast += m->row_changes * ((rs_real)0.5 - s->fast);
     for (i = 0; i < 2; i++) {
         s->level_variance[i] += m->row_walk[i];
         if (!slides)
             s->level_variance[i] += m->row_reversal; /* friction may be off by a stroke's own */
     }
-    s->known.lasting[1] += m->row_drift;
-    s->plain_lasting[1] += m->row_drift;
-    s->known.mean[0] *= kept;
-    s->known.shift[0] *= kept;
-    s->plain *= kept;
-    s->plain_shift *= kept;
-    for (i = 1; i < RS_PARTS; i++)
-        s->known.u[0][i] *= kept;
-    s->known.d[0] = kept * kept * s->known.d[0] + fresh;
-    s->plain_variance = kept * kept * s->plain_variance + fresh;
+    for (i = 0; i < 2; i++) {
+        struct rs_hypothesis *h = &s->hypotheses[i];
+        h->touched += m->row_begins - (m->row_begins + m->row_ends) * h->touched;
+        h->known.lasting[1] += m->row_drift;
+        h->known.mean[0] *= kept;
+        h->known.shift[0] *= kept;
+        for (j = 1; j < RS_PARTS; j++)
+            h->known.u[0][j] *= kept;
+        h->known.d[0] = kept * kept * h->known.d[0] + fresh;
+        if (slides)
+            rs_doubt(&h->known, s->doubted, m->wave_doubt[i][s->doubted]);
+    }
     if (slides)
-        rs_doubt(s);
+        s->doubted = s->doubted + 1 < RS_WAVES ? s->doubted + 1 : 0;
 }
 
 /* Advance by a step the waves as the filter's torque shows them: shown_ripple.py. */
@@ -1105,7 +1155,6 @@ static inline void rs_row(struct rigtool_sensor *s)
     const struct rs_model *m = &rs_model;
     const rs_real share = (rs_real)1 / (rs_real)s->row_length, felt = m->torque_factor * share;
     const rs_real direction = (rs_real)((s->x[RS_SPEED] > 0) - (s->x[RS_SPEED] < 0));
-    rs_real less;
     int j;
     s->row[0] += (s->x[RS_TORQUE] + m->torque_factor * s->shown[RS_WAVES].seen) * share;
     for (j = 0; j < RS_WAVES; j++)
@@ -1116,8 +1165,7 @@ static inline void rs_row(struct rigtool_sensor *s)
     rs_pass_time(s, s->row_slid == s->row_length);
     if (s->row_slid == s->row_length)
         rs_take(s);
-    less = rs_exp(-RS_MATH(fabs)(s->other));
-    s->weight = (s->other < 0 ? less : (rs_real)1) / (1 + less);
+    rs_mix(s);
     for (j = 0; j < RS_PARTS; j++)
         s->row[j] = 0;
     s->row_steps = s->row_slid = 0;
@@ -1142,14 +1190,38 @@ static inline rs_real rs_by_current(const struct rigtool_sensor *s)
 }
 
 /* Renew now and then by what is known what each wave takes off the drive torque. */
-static inline void rs_hold(struct rigtool_sensor *s, rs_real weight, rs_real lasting)
+static inline void rs_hold(struct rigtool_sensor *s)
 {
     int j;
     if (++s->held_steps < RS_HELD_STEPS)
         return;
     s->held_steps = 0;
     for (j = 0; j < RS_WAVES && s->other != 0; j++) /* before a row, nothing */
-        s->held[j] = weight * (s->known.mean[j + 1] + lasting * s->known.shift[j + 1]);
+        s->held[j] = s->ripples[j];
+}
+
+/* The variance of what ripple adds to the torque, whose mean is that at the motor. */
+static inline rs_real rs_ripple_spread(const struct rigtool_sensor *s, rs_real mean)
+{
+    rs_real total = (1 - s->weights[0] - s->weights[1]) * rs_square(mean);
+    int i, j, k;
+    for (k = 0; k < 2; k++) {
+        const struct rs_hypothesis *h = &s->hypotheses[k];
+        const rs_real lasts = h->lasts, lasting = h->known.lasting[0];
+        rs_real own = 0, shift = 0, spread = 0;
+        for (j = 0; j < RS_WAVES; j++) {
+            const rs_real seen = s->shown[j].seen;
+            rs_real by = seen;
+            for (i = 0; i < j; i++)
+                by += h->known.u[i + 1][j + 1] * s->shown[i].seen;
+            spread += by * by * h->known.d[j + 1];
+            own += seen * h->known.mean[j + 1];
+            shift += seen * h->known.shift[j + 1];
+        }
+        spread += rs_square(shift) * lasts * (h->known.lasting[1] + (1 - lasts) * lasting * lasting);
+        total += s->weights[k] * (spread + rs_square(own + lasts * lasting * shift - mean));
+    }
+    return rs_square(rs_model.torque_factor) * total;
 }
 
 /* What ripple adds to the torque behind the low-pass, less what was taken off the drive torque;
@@ -1158,34 +1230,23 @@ static inline rs_real rs_rippled(struct rigtool_sensor *s, rs_real *variance)
 {
     const struct rs_model *m = &rs_model;
     const rs_real *c = m->low_pass[RS_ORDER];
-    rs_real weight, mean = 0, spread = 0, ripple, shift = 0, lasting, left, taken = 0;
+    rs_real mean = 0, ripple, left, taken = 0;
     rs_real q[RS_ORDER];
     int i, j;
     rs_wave(s);
     s->waves[RS_WAVES] = s->taken;
     rs_show(s);
     rs_row(s);
-    weight = s->weight;
-    lasting = s->known.lasting[0];
-    rs_hold(s, weight, s->lasts * lasting);
+    rs_hold(s);
     for (j = 0; j < RS_WAVES; j++) {
-        const rs_real seen = s->shown[j].seen;
-        rs_real by = seen;
-        for (i = 0; i < j; i++)
-            by += s->known.u[i + 1][j + 1] * s->shown[i].seen;
-        spread += by * by * s->known.d[j + 1];
-        mean += seen * s->known.mean[j + 1];
-        shift += seen * s->known.shift[j + 1];
+        mean += s->shown[j].seen * s->ripples[j];
         taken += s->held[j] * s->waves[j];
     }
     s->taken = taken;
-    shift *= m->torque_factor;
-    mean = m->torque_factor * mean + s->lasts * lasting * shift;
-    spread = rs_square(m->torque_factor) * spread + rs_by_current(s);
-    spread += shift * shift * s->lasts
-        * (s->known.lasting[1] + (1 - s->lasts) * lasting * lasting);
-    *variance = weight * (spread + (1 - weight) * mean * mean);
-    left = weight * mean - m->torque_factor * s->shown[RS_WAVES].seen;
+    if (s->row_steps % RS_SPREAD_STEPS == 0) /* waves hardly change within that */
+        s->ripple_spread = rs_ripple_spread(s, mean);
+    *variance = s->ripple_spread + s->weights[1] * rs_by_current(s);
+    left = m->torque_factor * (mean - s->shown[RS_WAVES].seen);
     ripple = c[RS_ORDER] * left;
     for (i = 0; i < RS_ORDER; i++) {
         ripple += c[i] * s->ripple_q[i];
@@ -1381,15 +1442,17 @@ static inline void rs_begin(struct rigtool_sensor *s)
     s->direction = s->stroke = s->side = 1;
     s->rested = -1; /* nowhere yet */
     s->row_length = RS_ROW_STEPS;
-    for (i = 0; i < RS_PARTS; i++) {
-        s->known.mean[i] = i ? m->wave_mean[i - 1] : 0;
-        s->known.d[i] = i ? m->wave_variance[i - 1] : m->row_untouched;
+    for (j = 0; j < 2; j++) {
+        struct rs_hypothesis *h = &s->hypotheses[j];
+        for (i = 0; i < RS_PARTS; i++) {
+            h->known.mean[i] = i ? m->wave_mean[j][i - 1] : 0;
+            h->known.d[i] = i ? m->wave_variance[j][i - 1] : m->row_untouched;
+        }
+        h->known.lasting[1] = m->row_lasting;
+        h->lasts = m->row_lasts;
+        h->before[0] = h->before[1] = h->known;
     }
-    s->known.lasting[1] = s->plain_lasting[1] = m->row_lasting;
-    s->lasts = s->plain_lasts = m->row_lasts;
-    s->weight = (rs_real)0.5;
-    s->before[0] = s->before[1] = s->known;
-    s->plain_variance = m->row_untouched;
+    rs_mix(s);
     s->level_variance[0] = s->level_variance[1] = m->row_contact;
     s->still_up = s->still_down = RS_STILL_STEPS;
     rs_locate(s);

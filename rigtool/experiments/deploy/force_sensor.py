@@ -73,6 +73,7 @@ def sensor_header(
         **dict(zip(("DRAW_FACTOR", "DRAW_ADDED", "DRAW_MODULUS"), ripple_rows.DRAW, strict=True)),
         "HELD_STEPS": ripple_rows.held_steps(grid.step_time),
         "LATE_ROWS": ripple_rows.late_rows(grid.step_time),
+        "SPREAD_STEPS": ripple_rows.SPREAD_STEPS,
         "ROTOR_CELLS": len(model.drive.rotor_map) - 1,
         "HOUSING_CELLS": len(plant.friction_map) - 1,
     }
@@ -177,6 +178,7 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
     plant = model.plant(step_time)
     size = plant.torque_factor * (uncertainty.stroke + uncertainty.friction_noise)
     row_time = ripple_rows.row_steps(step_time) * step_time
+    both = np.stack([ripple_rows.CHANGED**2 * drawn, drawn])
     return {
         "wave_kept": math.exp(-step_time / model.learned.shape.ripple_time),
         "wave_growing": growing,
@@ -184,9 +186,9 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
         "wave_shown": 1 - math.exp(-step_time / shown_ripple.SHOWN_TIME),
         "wave_slow": shown_ripple.HELD_LENGTHS * plant.presliding_angle / step_time,
         "wave_turn": step_time / shown_ripple.turned_inertia(plant),
-        "wave_mean": -own,
-        "wave_variance": drawn,
-        "wave_doubt": drawn * (ripple_rows.WAVE_COUNT * row_time / ripple_rows.FORGOTTEN),
+        "wave_mean": np.stack([0 * own, -own]),
+        "wave_variance": both,
+        "wave_doubt": both * (ripple_rows.WAVE_COUNT * row_time / ripple_rows.FORGOTTEN),
         "row_noise": (ripple_rows.NOISE * size) ** 2,
         "row_walk": (np.array(ripple_rows.WALKS) * size) ** 2 * row_time,
         "row_reversal": (ripple_rows.AFTER_REVERSAL * size) ** 2 * row_time / ripple_rows.ROW_TIME,
@@ -205,6 +207,7 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
         "row_lasting": (lasting_contact.LASTING * size) ** 2,
         "row_drift": (lasting_contact.DRIFT * size) ** 2 * row_time,
         "row_least_lasts": lasting_contact.LEAST_LASTS,
+        "row_same": ripple_rows.SAME,
     }
 
 

@@ -4,29 +4,33 @@ Of a torque M on the output the filter finds, at the torque factor n,
 
     M^ = M + n sum of beta_j lag(w_j) + e,    w_j cosine and sine of orders of the rotor's angle
 
-with beta what the amplifier's ripple is off from the learned one, c. Either the power-up is that of
-the learning, beta = 0, or another: c + beta then has amplitudes A with other phases,
+with beta what the amplifier's ripple is off from the learned one, c. Either the power-up is another
+one: c + beta has amplitudes A with other phases,
 
-    beta ~ N(-c, A^2 / 2),    A^2 = |c|^2 + share of the variance of c, of each order.
+    beta ~ N(-c, A^2 / 2),    A^2 = |c|^2 + share of the variance of c, of each order,
+
+or the ripple is near the learned one, beta ~ N(0, `CHANGED`^2 A^2 / 2), or it is the learned one.
 
 Along a part of a turn the low orders look like the housing's friction, so that c may be far smaller
 than the ripple is. A weak force that repeats with the angle looks like ripple, too. Once an order
-of c + beta is more than `LARGEST_RIPPLE_RATIO` times A it is none, and the second hypothesis begins
+of c + beta is more than `LARGEST_RIPPLE_RATIO` times A it is none, and what is known of it begins
 anew.
 
-Under each hypothesis a Kalman filter reads M^ row by row. Where nothing touches, M is what strokes
+Under the first two a Kalman filter reads M^ row by row. Where nothing touches, M is what strokes
 deviate by: about zero, and drawn anew by a reversal. So the mean of the ripple along the part of a
 turn that a motion uses shows, too. Where something touches, M^ is a random walk that may leap, and
 shows no ripple. Contacts begin and end at a rate, and a row counts by the probability that nothing
 touches (probabilistic data association: Y. Bar-Shalom, E. Tse, Automatica 11(5) 451-460, 1975), so
 that a weak contact is not taken for ripple. A contact that grows slowly, or begins while the ripple
 is not yet known, is recognised late, by its end at the latest: what the rows just before it added
-is then taken back. The likelihoods of both hypotheses weigh them, by less than their ratio: the
-errors of rows that follow one another are alike. Given is
+is then taken back. The likelihoods weigh the hypotheses, by less than their ratio: the errors of
+rows that follow one another are alike. The learned ripple itself needs no filter: its likelihood
+over that of one near it is the density of beta = 0, over what it was before any row (J. M. Dickey,
+Ann. Math. Stat. 42(1) 204-223, 1971). Given is
 the mean of the mixture, and its variance (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with
 Applications to Tracking and Navigation, 2001, section 11.6.2, static multiple models).
 
-A weak contact may also act all the time (`lasting_contact`), under each hypothesis.
+A weak contact may also act all the time (`lasting_contact`), under each of the two.
 
 What of the ripple grows with the current is in the variance alone (`drawn_ripple`).
 
@@ -51,12 +55,15 @@ from rigtool.experiments.force_sensor import shown_ripple
 from rigtool.experiments.force_sensor.drawn_ripple import learned_ripple
 from rigtool.experiments.force_sensor.lasting_contact import LASTING, LASTS
 from rigtool.experiments.force_sensor.ripple_rows import (
+    CHANGED,
     CONTACT,
     PARAMETERS,
+    SPREAD_STEPS,
     STATE,
     WAVE_COUNT,
     held_steps,
     late_rows,
+    mix,
     read_row,
     row_steps,
 )
@@ -91,27 +98,27 @@ class PowerUp:
             [(*numbers, *housing, slow, shown, *load, self._held_steps)], dtype=PARAMETERS
         )
         self._state = np.zeros(1, dtype=STATE)
-        self._state["length"] = steps
-        self._state["mean"][0, :-1] = -own
-        self._state["learned"][0], self._state["growing"][0] = own, growing
-        self._state["direction"] = 1.0
-        self._state["drawn"][0] = drawn
-        variances = np.append(drawn, (factor * size) ** 2)
-        self._state["covariance"][0] = np.diag(variances)
-        self._state["means"][0] = self._state["mean"]
-        self._state["covariances"][0] = self._state["covariance"]
-        self._state["plain_variance"] = variances[-1]
-        for name in ("lasting", "lastings", "plain_lasting"):
-            self._state[name][..., 1] = (LASTING * factor * size) ** 2
-        self._state["lasts"] = self._state["plain_lasts"] = LASTS
-        self._state["level_variance"] = (CONTACT * factor * size) ** 2
+        state = self._state[0]
+        state["length"], state["direction"] = steps, 1.0
+        state["expected"][1], state["growing"] = -own, growing
+        state["drawn"] = CHANGED**2 * drawn, drawn
+        state["mean"][:, :-1] = state["expected"]
+        variances = np.column_stack([state["drawn"], np.full(2, (factor * size) ** 2)])
+        state["covariance"] = [np.diag(one) for one in variances]
+        state["means"] = state["mean"][:, None]
+        state["covariances"] = state["covariance"][:, None]
+        for name in ("lasting", "lastings"):
+            state[name][..., 1] = (LASTING * factor * size) ** 2
+        state["lasts"] = LASTS
+        state["level_variance"] = (CONTACT * factor * size) ** 2
+        mix(state)
         self._low_pass = passed.section(corner_hz, step_time)
 
     @property
     def probability(self) -> float:
         """That the power-up is another than that of the learning."""
-        other: float = self._state["other"][0]
-        return 1 / (1 + math.exp(-other))
+        other: float = self._state["weights"][0, 1]
+        return other
 
     @property
     def steps_ahead(self) -> int:
@@ -229,18 +236,18 @@ def _follow(
             s.filled += 1.0
             if s.filled >= s.length:
                 read_row(s, p)
-        weight = 1.0 / (1.0 + math.exp(-s.other))
         shown = s.seen if sliding.shape[0] else waves
-        mean, variance, less, shift = 0.0, 0.0, 0.0, 0.0
-        lasting = s.lasts * s.lasting[0]
+        mean, less = 0.0, 0.0
         for i in range(WAVE_COUNT):
-            mean += p.factor * shown[i] * s.mean[i]
-            shift += p.factor * shown[i] * s.shift[i]
-            less += waves[i] * (s.mean[i] + lasting * s.shift[i])
-            total = 0.5 * s.covariance[i, i] * shown[i]
-            for j in range(i):
-                total += s.covariance[i, j] * shown[j]
-            variance += 2.0 * shown[i] * total
+            mean += p.factor * shown[i] * s.known[i]
+            less += waves[i] * s.known[i]
+        if sliding.shape[0] == 0 or s.filled % SPREAD_STEPS == 0:
+            s.spread = 0.0
+            for i in range(WAVE_COUNT):
+                total = 0.5 * s.doubt[i, i] * shown[i]
+                for j in range(i):
+                    total += s.doubt[i, j] * shown[j]
+                s.spread += 2.0 * p.factor**2 * shown[i] * total
         by_current = 0.0
         if drive.shape[0]:
             size = abs(drive[k, 1])
@@ -248,15 +255,10 @@ def _follow(
                 square = s.growing[j, 0] + size * (s.growing[j, 1] + size * s.growing[j, 2])
                 by_current += square * (waves[2 * j] ** 2 + waves[2 * j + 1] ** 2)
             by_current *= (p.factor * drive[k, 0]) ** 2
-        mean += shift * lasting
-        variance = p.factor**2 * variance + by_current
-        variance += shift**2 * s.lasts * (s.lasting[1] + (1.0 - s.lasts) * s.lasting[0] ** 2)
-        found[3, k] = by_current
-        found[0, k] = weight * mean
-        found[1, k] = weight * variance + weight * (1.0 - weight) * mean * mean
-        found[2, k] = weight * less
+        found[0, k], found[1, k] = mean, s.spread + s.weights[1] * by_current
+        found[2, k], found[3, k] = less, by_current
         if sliding.shape[0]:
-            left, (first, second) = weight * mean - p.factor * s.seen[WAVE_COUNT], s.passed
+            left, (first, second) = mean - p.factor * s.seen[WAVE_COUNT], s.passed
             found[0, k] = low_pass[2, 0] * first + low_pass[2, 1] * second
             found[0, k] += low_pass[2, 2] * left
             for i in range(2):
@@ -266,4 +268,4 @@ def _follow(
             if s.held_steps >= p.held:
                 s.held_steps = 0.0
                 for j in range(WAVE_COUNT if s.other != 0.0 else 0):  # before a row, nothing
-                    s.held[j] = weight * (s.mean[j] + lasting * s.shift[j])
+                    s.held[j] = s.known[j]

@@ -1,6 +1,6 @@
 """Rows of the torque on the output, each read under two hypotheses of the amplifier's ripple.
 
-A row is the mean of some steps. Under either hypothesis of `power_up` its value y is
+A row is the mean of some steps. Under each of two hypotheses of `power_up` its value y is
 
     y = sum of beta_j w_j + M + e   where nothing touches, else a random walk that may leap,
 
@@ -66,8 +66,20 @@ may be taken for ripple, and rows are not as independent as the equations have i
 MAX_LOG_RATIO = 50.0
 """Largest logarithm of both likelihoods' ratio: no weight is closer to 0 or 1."""
 
+CHANGED, SAME = 0.5, 0.5
+"""Where the ripple is near the learned one: what it has changed by, in deviations of what a
+power-up draws, and the probability, before anything is seen, that it has not changed at all. With
+changes of 0.3, scores at another power-up are 0.5 % larger; without the probability, those at the
+learned one are 1 to 2 % larger (six development rigs)."""
+
+SPREAD_STEPS = 4
+"""Steps for which a variance of the ripple holds: waves hardly change, firmware has little time."""
+
 LARGEST_RIPPLE_RATIO = 3.0
 """Largest ratio of an order's amplitude at another power-up to the learned one."""
+
+LEAST_PART = 1e-9
+"""Least part of a variance that rounding leaves."""
 
 PARAMETERS = np.dtype(
     [(name, "f8") for name in ("lag", "factor", "steps", "time", "size", "late")]
@@ -97,37 +109,37 @@ STATE = np.dtype(
         ("drawn_length", "f8"),
         ("filled", "f8"),
         ("slid", "f8"),
-        ("mean", "f8", (WAVE_COUNT + 1,)),
-        ("covariance", "f8", (WAVE_COUNT + 1, WAVE_COUNT + 1)),
-        ("touched", "f8"),  # the probability that something touches
+        # under either hypothesis, the learned power-up first: what is expected and its variance
+        ("expected", "f8", (2, WAVE_COUNT)),
+        ("drawn", "f8", (2, WAVE_COUNT)),
+        ("mean", "f8", (2, WAVE_COUNT + 1)),
+        ("covariance", "f8", (2, WAVE_COUNT + 1, WAVE_COUNT + 1)),
+        ("touched", "f8", (2,)),  # the probability that something touches
         # mean and covariance as they were, the earlier one first, and rows since the later one
-        ("means", "f8", (2, WAVE_COUNT + 1)),
-        ("covariances", "f8", (2, WAVE_COUNT + 1, WAVE_COUNT + 1)),
-        ("since", "f8"),
+        ("means", "f8", (2, 2, WAVE_COUNT + 1)),
+        ("covariances", "f8", (2, 2, WAVE_COUNT + 1, WAVE_COUNT + 1)),
+        ("since", "f8", (2,)),
         # a contact that lasts: what 1 N m of it changes the means by, its mean and variance, and
-        # its probability; as they were, as means; without other ripple the same
-        ("shift", "f8", (WAVE_COUNT + 1,)),
-        ("shifts", "f8", (2, WAVE_COUNT + 1)),
-        ("lasting", "f8", (2,)),
-        ("lastings", "f8", (2, 2)),
-        ("lasts", "f8"),
-        ("plain_shift", "f8"),
-        ("plain_lasting", "f8", (2,)),
-        ("plain_lasts", "f8"),
-        # without other ripple; logarithm of the likelihoods' ratio
-        ("plain", "f8"),
-        ("plain_variance", "f8"),
-        ("plain_touched", "f8"),
-        ("other", "f8"),
+        # its probability; as they were, as means
+        ("shift", "f8", (2, WAVE_COUNT + 1)),
+        ("shifts", "f8", (2, 2, WAVE_COUNT + 1)),
+        ("lasting", "f8", (2, 2)),
+        ("lastings", "f8", (2, 2, 2)),
+        ("lasts", "f8", (2,)),
+        ("other", "f8"),  # logarithm of the likelihoods' ratio
+        ("others", "f8", (2,)),  # as it was, as means
+        # of all hypotheses: weights of these two, mean and covariance (its lower part) of the
+        # ripple, and the variance on the output that holds now
+        ("weights", "f8", (2,)),
+        ("known", "f8", (WAVE_COUNT,)),
+        ("doubt", "f8", (WAVE_COUNT, WAVE_COUNT)),
+        ("spread", "f8"),
         # where something touches: M by a slow and a fast walk, and the probability of the fast one
         ("level", "f8", (2,)),
         ("level_variance", "f8", (2,)),
         ("fast", "f8"),
-        ("learned", "f8", (WAVE_COUNT,)),
         ("growing", "f8", (len(GAIN_ORDERS), 3)),  # by powers of the current
-        # variance of what a power-up draws; the wave whose doubt grows next
-        ("drawn", "f8", (WAVE_COUNT,)),
-        ("doubted", "f8"),
+        ("doubted", "f8"),  # the wave whose doubt grows next
         ("passed", "f8", (passed.LOW_PASS_ORDER,)),
     ]
 )
@@ -148,22 +160,30 @@ def held_steps(step_time: float) -> int:
     return max(1, round(HELD_TIME / step_time))
 
 
-@compiled
+@compiled_allocating
 def read_row(s: Record, p: Record) -> None:
     """Take in a row, and begin the next one."""
     slides = s.slid >= s.length
     _pass_time(s, p, slides)
     if slides:
         touching = _touching(s, p)
-        s.other += _by_ripple(s, p, touching) - _plain(s, p, touching)
+        for h in range(2):
+            likely = _by_ripple(s, p, h, touching)
+            s.other += likely if h else -likely
         s.other = min(max(s.other, -MAX_LOG_RATIO), MAX_LOG_RATIO)
         for i in range(0, WAVE_COUNT, 2):
-            first, second = s.mean[i] + s.learned[i], s.mean[i + 1] + s.learned[i + 1]
-            square = s.drawn[i] + s.drawn[i + 1]
+            first, second = s.mean[1, i] - s.expected[1, i], s.mean[1, i + 1] - s.expected[1, i + 1]
+            square = s.drawn[1, i] + s.drawn[1, i + 1]
             if first * first + second * second > LARGEST_RIPPLE_RATIO**2 * square:
                 _begin_anew(s)
                 break
-        _take_back(s, p)
+        if min(s.touched[0], s.touched[1]) > RECOGNISED:
+            s.others[1] = s.other = s.others[0]
+        elif s.touched[1] <= RECOGNISED and s.since[1] + 1.0 >= p.late:
+            s.others[0], s.others[1] = s.others[1], s.other
+        for h in range(2):
+            _take_back(s, p, h)
+    mix(s)
     for i in range(WAVE_COUNT + 1):
         s.row[i] = 0.0
     s.filled = s.slid = 0.0
@@ -171,54 +191,83 @@ def read_row(s: Record, p: Record) -> None:
     s.length = p.steps // 2 + p.steps * s.drawn_length // DRAW[2]
 
 
-@compiled
-def _plain(s: Record, p: Record, touching: float) -> float:
-    """Return the part of the logarithm of a row's likelihood under the learned ripple, and take it
-    in there."""
-    error, variance = s.row[WAVE_COUNT] - s.plain, s.plain_variance + (NOISE * p.size) ** 2
-    before = s.plain_touched
-    likely, s.plain_touched = weighed(before, normal(error, variance), touching)
-    untouched = 1.0 - s.plain_touched
-    lasting, seen = s.plain_lasting, 1.0 + s.plain_shift
-    other, _ = weighed(before, lasts_too(lasting, error, seen, variance, untouched), touching)
-    part = untouched * s.plain_variance / variance
-    s.plain += part * error
-    s.plain_shift -= part * seen
-    s.plain_variance *= 1.0 - part
-    together, s.plain_lasts = counted(s.plain_lasts, ROW_EVIDENCE * likely, ROW_EVIDENCE * other)
-    return together
+@compiled_allocating
+def _same(s: Record) -> float:
+    """Return the logarithm of the likelihoods' ratio of the learned ripple itself to one near it:
+    the density of no change over what it was before any row (`power_up`)."""
+    root, left = np.zeros((WAVE_COUNT, WAVE_COUNT)), np.zeros(WAVE_COUNT)
+    total = 0.0
+    for i in range(WAVE_COUNT):
+        drawn = s.drawn[0, i]
+        if drawn <= 0.0:  # no such order
+            continue
+        left[i] = s.mean[0, i] + s.lasts[0] * s.lasting[0, 0] * s.shift[0, i]
+        for j in range(i + 1):
+            if s.drawn[0, j] <= 0.0:
+                continue
+            own = s.covariance[0, i, j]
+            for k in range(j):
+                own -= root[i, k] * root[j, k]
+            if j < i:
+                root[i, j] = own / root[j, j]
+                left[i] -= root[i, j] * left[j]
+            else:
+                own = max(own, LEAST_PART * drawn)
+                root[i, i] = math.sqrt(own)
+                left[i] /= root[i, i]
+                total -= 0.5 * (left[i] ** 2 + math.log(own / drawn))
+    return total
+
+
+@compiled_allocating
+def mix(s: Record) -> None:
+    """Put the hypotheses together: weights, mean and covariance of the ripple."""
+    limited = min(max(ROW_EVIDENCE * _same(s), -MAX_LOG_RATIO), MAX_LOG_RATIO)
+    same, near, other = SAME * math.exp(limited), 1.0 - SAME, math.exp(s.other)
+    total = same + near + other
+    same, s.weights[0], s.weights[1] = same / total, near / total, other / total
+    own = np.empty((2, WAVE_COUNT))
+    s.known[:] = 0.0
+    for h in range(2):
+        for i in range(WAVE_COUNT):
+            own[h, i] = s.mean[h, i] + s.lasts[h] * s.lasting[h, 0] * s.shift[h, i]
+            s.known[i] += s.weights[h] * own[h, i]
+    for i in range(WAVE_COUNT):
+        for j in range(i + 1):
+            s.doubt[i, j] = same * s.known[i] * s.known[j]
+            for h in range(2):
+                lasting, variance = s.lasting[h]
+                variance = s.lasts[h] * (variance + (1.0 - s.lasts[h]) * lasting**2)
+                apart = (own[h, i] - s.known[i]) * (own[h, j] - s.known[j])
+                apart += s.covariance[h, i, j] + variance * s.shift[h, i] * s.shift[h, j]
+                s.doubt[i, j] += s.weights[h] * apart
 
 
 @compiled
 def _pass_time(s: Record, p: Record, slides: bool) -> None:
     """Go on to the end of a row."""
     begins, ends = BEGINS * p.time, ENDS * p.time
-    s.touched += begins - (begins + ends) * s.touched
-    s.plain_touched += begins - (begins + ends) * s.plain_touched
     s.fast += CHANGES * p.time * (0.5 - s.fast)
     for i in range(2):
         s.level_variance[i] += (WALKS[i] * p.size) ** 2 * p.time
         if not slides:  # part of the row is no sliding: friction may be off by a stroke's own
             s.level_variance[i] += (AFTER_REVERSAL * p.size) ** 2 * p.time / ROW_TIME
-    for lasting in (s.lasting, s.plain_lasting):
-        lasting[1] += (DRIFT * p.size) ** 2 * p.time
     kept = math.exp(-p.time / MEMORY) if slides else 0.0
-    s.shift[WAVE_COUNT] *= kept
-    s.plain_shift *= kept
-    s.mean[WAVE_COUNT] *= kept
-    s.plain *= kept
-    for i in range(WAVE_COUNT):
-        s.covariance[i, WAVE_COUNT] *= kept
-        s.covariance[WAVE_COUNT, i] *= kept
-    fresh = (1.0 - kept * kept) * p.size**2
-    s.covariance[WAVE_COUNT, WAVE_COUNT] = (
-        kept * kept * s.covariance[WAVE_COUNT, WAVE_COUNT] + fresh
-    )
-    s.plain_variance = kept * kept * s.plain_variance + fresh
+    fresh, one = (1.0 - kept * kept) * p.size**2, int(s.doubted)
+    for h in range(2):
+        s.touched[h] += begins - (begins + ends) * s.touched[h]
+        s.lasting[h, 1] += (DRIFT * p.size) ** 2 * p.time
+        s.shift[h, WAVE_COUNT] *= kept
+        s.mean[h, WAVE_COUNT] *= kept
+        for i in range(WAVE_COUNT):
+            s.covariance[h, i, WAVE_COUNT] *= kept
+            s.covariance[h, WAVE_COUNT, i] *= kept
+        own = s.covariance[h, WAVE_COUNT, WAVE_COUNT]
+        s.covariance[h, WAVE_COUNT, WAVE_COUNT] = kept * kept * own + fresh
+        if slides:
+            s.covariance[h, one, one] += s.drawn[h, one] * WAVE_COUNT * p.time / FORGOTTEN
     if slides:
-        one = int(s.doubted)  # in turn
-        s.covariance[one, one] += s.drawn[one] * WAVE_COUNT * p.time / FORGOTTEN
-        s.doubted = (one + 1) % WAVE_COUNT
+        s.doubted = (one + 1) % WAVE_COUNT  # in turn
 
 
 @compiled
@@ -243,67 +292,68 @@ def _touching(s: Record, p: Record) -> float:
 
 
 @compiled_allocating
-def _by_ripple(s: Record, p: Record, touching: float) -> float:
-    """Return the part of the logarithm of a row's likelihood under other ripple, and take it in
+def _by_ripple(s: Record, p: Record, h: int, touching: float) -> float:
+    """Return the part of the logarithm of a row's likelihood under a hypothesis, and take it in
     there."""
     gain = np.empty(WAVE_COUNT + 1)
     value, s.row[WAVE_COUNT] = s.row[WAVE_COUNT], 1.0
     error, variance, seen = value, (NOISE * p.size) ** 2, 1.0
     for i in range(WAVE_COUNT + 1):
-        error -= s.row[i] * s.mean[i]
-        seen += s.row[i] * s.shift[i]
+        error -= s.row[i] * s.mean[h, i]
+        seen += s.row[i] * s.shift[h, i]
         gain[i] = 0.0
         for j in range(WAVE_COUNT + 1):
-            gain[i] += s.covariance[i, j] * s.row[j]
+            gain[i] += s.covariance[h, i, j] * s.row[j]
         variance += s.row[i] * gain[i]
-    before = s.touched
-    likely, s.touched = weighed(before, normal(error, variance), touching)
-    part = (1.0 - s.touched) / variance
+    before = s.touched[h]
+    likely, s.touched[h] = weighed(before, normal(error, variance), touching)
+    part = (1.0 - s.touched[h]) / variance
     s.row[WAVE_COUNT] = value
-    lasts = lasts_too(s.lasting, error, seen, variance, 1.0 - s.touched)
+    lasts = lasts_too(s.lasting[h], error, seen, variance, 1.0 - s.touched[h])
     other, _ = weighed(before, lasts, touching)
-    together, s.lasts = counted(s.lasts, ROW_EVIDENCE * likely, ROW_EVIDENCE * other)
-    if s.touched > 1.0 - MIN_UNTOUCHED_PROBABILITY:
+    together, s.lasts[h] = counted(s.lasts[h], ROW_EVIDENCE * likely, ROW_EVIDENCE * other)
+    if s.touched[h] > 1.0 - MIN_UNTOUCHED_PROBABILITY:
         return together
     for i in range(WAVE_COUNT + 1):
-        s.mean[i] += part * gain[i] * error
-        s.shift[i] -= part * gain[i] * seen
+        s.mean[h, i] += part * gain[i] * error
+        s.shift[h, i] -= part * gain[i] * seen
         for j in range(WAVE_COUNT + 1):
-            s.covariance[i, j] -= part * gain[i] * gain[j]
+            s.covariance[h, i, j] -= part * gain[i] * gain[j]
     return together
 
 
 @compiled_allocating
-def _take_back(s: Record, p: Record) -> None:
+def _take_back(s: Record, p: Record, h: int) -> None:
     """Go back to what was known before a contact that is recognised, or keep what is known now."""
-    s.since += 1.0
-    if s.touched > RECOGNISED:
-        s.means[1] = s.mean[:] = s.means[0]
-        s.shifts[1] = s.shift[:] = s.shifts[0]
-        s.lastings[1] = s.lasting[:] = s.lastings[0]
-        s.shift[WAVE_COUNT] = 0.0
-        s.covariances[1] = s.covariance[:] = s.covariances[0]
-        s.mean[WAVE_COUNT] = 0.0
-        s.covariance[WAVE_COUNT, :] = s.covariance[:, WAVE_COUNT] = 0.0
-        s.covariance[WAVE_COUNT, WAVE_COUNT] = p.size**2
-    elif s.since >= p.late:
-        s.means[0], s.shifts[0], s.lastings[0] = s.means[1], s.shifts[1], s.lastings[1]
-        s.covariances[0] = s.covariances[1]
-        s.means[1], s.shifts[1], s.lastings[1] = s.mean, s.shift, s.lasting
-        s.covariances[1] = s.covariance
+    s.since[h] += 1.0
+    if s.touched[h] > RECOGNISED:
+        s.means[h, 1] = s.mean[h] = s.means[h, 0]
+        s.shifts[h, 1] = s.shift[h] = s.shifts[h, 0]
+        s.lastings[h, 1] = s.lasting[h] = s.lastings[h, 0]
+        s.shift[h, WAVE_COUNT] = 0.0
+        s.covariances[h, 1] = s.covariance[h] = s.covariances[h, 0]
+        s.mean[h, WAVE_COUNT] = 0.0
+        s.covariance[h, WAVE_COUNT, :] = s.covariance[h, :, WAVE_COUNT] = 0.0
+        s.covariance[h, WAVE_COUNT, WAVE_COUNT] = p.size**2
+    elif s.since[h] >= p.late:
+        s.means[h, 0], s.shifts[h, 0] = s.means[h, 1], s.shifts[h, 1]
+        s.lastings[h, 0], s.covariances[h, 0] = s.lastings[h, 1], s.covariances[h, 1]
+        s.means[h, 1], s.shifts[h, 1] = s.mean[h], s.shift[h]
+        s.lastings[h, 1], s.covariances[h, 1] = s.lasting[h], s.covariance[h]
     else:
         return
-    s.since = 0.0
+    s.since[h] = 0.0
 
 
 @compiled_allocating
 def _begin_anew(s: Record) -> None:
     """Forget another power-up's ripple: what was taken for it is too large."""
-    s.other = min(s.other, 0.0)
+    s.others[:] = s.other = min(s.other, 0.0)
     for i in range(WAVE_COUNT):
-        s.mean[i], s.shift[i] = -s.learned[i], 0.0
+        s.mean[1, i], s.shift[1, i] = s.expected[1, i], 0.0
         for j in range(WAVE_COUNT + 1):
-            s.covariance[i, j] = s.covariance[j, i] = 0.0
-        s.covariance[i, i] = s.drawn[i]
-    s.means[:], s.shifts[:], s.lastings[:] = s.mean, s.shift, s.lasting
-    s.covariances[:] = s.covariance
+            s.covariance[1, i, j] = s.covariance[1, j, i] = 0.0
+        s.covariance[1, i, i] = s.drawn[1, i]
+    for k in range(2):
+        s.means[1, k], s.shifts[1, k], s.lastings[1, k] = s.mean[1], s.shift[1], s.lasting[1]
+        s.covariances[1, k] = s.covariance[1]

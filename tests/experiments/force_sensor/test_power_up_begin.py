@@ -13,7 +13,15 @@ from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.experiments.force_sensor.drawn_ripple import UNCERTAIN_SHARE, learned_ripple
 from rigtool.experiments.force_sensor.lasting_contact import LASTING, LASTS
 from rigtool.experiments.force_sensor.power_up import PowerUp
-from rigtool.experiments.force_sensor.ripple_rows import CONTACT, late_rows, row_steps
+from rigtool.experiments.force_sensor.ripple_rows import (
+    CHANGED,
+    CONTACT,
+    SAME,
+    SPREAD_STEPS,
+    late_rows,
+    mix,
+    row_steps,
+)
 from tests.experiments.deploy.sensors import LEARNED, Model
 from tests.experiments.force_filter.plants import PLANT, UNCERTAINTY
 
@@ -103,27 +111,31 @@ def test_it_is_followed_from_the_learned_power_up_on(step_time):
     assert set(expected) == set(p.dtype.names)
     for name, value in expected.items():
         assert p[name] == pytest.approx(value), name
-    variances = np.append(drawn, (factor * size) ** 2)
-    assert_allclose(s["mean"], np.append(-own, 0.0))
-    assert_allclose(s["covariance"], np.diag(variances))
-    assert_allclose(s["means"], [s["mean"]] * len(s["means"]))
-    assert_allclose(s["covariances"], [s["covariance"]] * len(s["covariances"]))
-    assert_allclose(s["learned"], own)
+    for h, (mean, variances) in enumerate([(0 * own, CHANGED**2 * drawn), (-own, drawn)]):
+        variances = np.append(variances, (factor * size) ** 2)
+        assert_allclose(s["expected"][h], mean)
+        assert_allclose(s["mean"][h], np.append(mean, 0.0))
+        assert_allclose(s["covariance"][h], np.diag(variances))
+        assert_allclose(s["drawn"][h], variances[:-1])
+        assert_allclose(s["means"][h], [s["mean"][h]] * 2)
+        assert_allclose(s["covariances"][h], [s["covariance"][h]] * 2)
     assert_allclose(s["growing"], growing)
-    assert_allclose(s["drawn"], drawn)
     assert (s["direction"], s["length"]) == (1.0, row_steps(step_time))
-    assert s["plain_variance"] == pytest.approx(variances[-1])
-    assert s["lasts"] == s["plain_lasts"] == LASTS
+    assert_allclose(s["lasts"], LASTS)
     assert s["level_variance"] == pytest.approx((CONTACT * factor * size) ** 2)
-    for name in ("lasting", "lastings", "plain_lasting"):
+    for name in ("lasting", "lastings"):
         assert_allclose(s[name][..., 1], (LASTING * factor * size) ** 2)
         assert not s[name][..., 0].any()
+    # before a row: another power-up as likely as not, the learned ripple as likely as one near it
+    assert_allclose(s["weights"], [(1 - SAME) / 2, 0.5])
+    assert found.probability == 0.5
 
 
 @pytest.mark.parametrize(("odds", "expected"), [(0.0, 0.5), (math.log(3), 0.75), (-40.0, 0.0)])
 def test_its_probability_is_that_of_its_odds(odds, expected):
     own = PowerUp(Model(), 1e-3, 10.0)
     own._state["other"] = odds
+    mix(own._state[0])
     assert own.probability == pytest.approx(expected, abs=1e-12)
 
 
@@ -145,29 +157,27 @@ def test_it_slides_where_the_long_bristle_is_bent_in_the_direction_of_motion(mon
     assert angle.tolist() == [0, 1, 2, 3]
 
 
-def test_each_step_gives_mean_and_variance_of_the_mixture_of_both_power_ups():
-    """Moments of the parts, with and without a contact that lasts; scipy's low-pass."""
+def test_each_step_gives_mean_and_variance_of_what_is_known():
+    """By scipy's low-pass; a variance holds for some steps."""
     model, rng, step = covaried(), np.random.default_rng(5), 1e-3
     own = PowerUp(model, step, 10.0)
     s, count = own._state[0], 2 * len(RIPPLE_ORDERS)
-    root = 1e-3 * rng.standard_normal((count + 1, count + 1))
-    s["covariance"], s["length"] = root @ root.T, 100.0  # no row is full
-    for name in ("mean", "shift"):
-        s[name] = rng.standard_normal(count + 1) * (1e-3 if name == "mean" else 0.3)
-    s["lasting"], s["lasts"], s["other"] = (2e-3, 3e-7), 0.3, 0.4
+    root = 1e-3 * rng.standard_normal((count, count))
+    covariance = root @ root.T
+    s["doubt"], s["length"] = np.tril(covariance), 100.0  # no row is full
+    s["known"], s["weights"] = 1e-3 * rng.standard_normal(count), (0.3, 0.6)
     s["waves"][:-1] = before = rng.uniform(-1, 1, count)
-    taken = 1e-3 * rng.standard_normal(4)
-    weight, factor = own.probability, PLANT.torque_factor
-    angle = np.array([0.4, 0.5, 0.7, 0.8])
-    states, current = np.zeros((4, STATES)), np.array([-0.5, 0.2, 1.0, 0.7])
+    size, factor = 3 * SPREAD_STEPS, PLANT.torque_factor
+    taken = 1e-3 * rng.standard_normal(size)
+    angle = 0.4 + 0.1 * np.cumsum(rng.uniform(0, 1, size))
+    states, current = np.zeros((size, STATES)), rng.uniform(-0.5, 1, size)
     states[:, SPEED] = 3.0
     drive = np.column_stack([0.045 * current, current])
-    means = []
-    for k in range(4):
+    orders, means, held = np.repeat(RIPPLE_ORDERS, 2), [], 0.0
+    for k in range(size):
         ripple, variance, less, by_current = own.add(
             angle[[k]], states[[k]], 0.01 * np.ones((1, 6)), drive[[k]], taken[[k]]
         )
-        orders = np.repeat(RIPPLE_ORDERS, 2)
         fresh = np.where(np.arange(count) % 2, np.sin(orders * angle[k]), np.cos(orders * angle[k]))
         before = before + (1 - math.exp(-step / LEARNED.shape.ripple_time)) * (fresh - before)
         assert_allclose(s["waves"], np.append(before, taken[k]))
@@ -175,31 +185,18 @@ def test_each_step_gives_mean_and_variance_of_the_mixture_of_both_power_ups():
         grows = s["growing"] @ np.abs(current[k]) ** np.arange(3)
         assert_allclose(by_current, [(factor * 0.045 * current[k]) ** 2 * grows @ squares])
         *seen, left = factor * s["seen"]
-        shift = seen @ s["shift"][:-1]
-        alone, carried = seen @ s["mean"][:-1], shift * s["lasting"][0]
-        spread = seen @ s["covariance"][:-1, :-1] @ seen + by_current[0]
-        parts = [(1 - weight, 0.0, 0.0), (weight * 0.7, alone, spread)]
-        parts.append((weight * 0.3, alone + carried, spread + shift**2 * s["lasting"][1]))
-        mean = sum(p * m for p, m, _ in parts)
-        square = sum(p * (v + m**2) for p, m, v in parts)
-        assert_allclose(variance, square - mean**2)
-        known = s["mean"][:-1] + 0.3 * s["lasting"][0] * s["shift"][:-1]
-        assert_allclose(less, weight * before @ known)
-        means.append(mean - left)
+        if (k + 1) % SPREAD_STEPS == 0:
+            held = seen @ covariance @ seen
+        assert_allclose(variance, held + 0.6 * by_current)
+        assert_allclose(less, before @ s["known"])
+        means.append(seen @ s["known"] - left)
         assert_allclose(ripple[0], lfilter(*butter(2, 10.0, fs=1 / step), means)[-1])
     # again, from the whole recording: as ripple is, behind no filter that shows it
-    again, variance, less = own.whole(angle, np.zeros(4))
-    state = own._state[0]
+    again, variance, less = own.whole(angle, np.zeros(size))
     waves, kept = np.zeros(count), math.exp(-step / LEARNED.shape.ripple_time)
-    for k in range(4):
+    for k in range(size):
         fresh = np.where(np.arange(count) % 2, np.sin(orders * angle[k]), np.cos(orders * angle[k]))
         waves = kept * waves + (1 - kept) * fresh
-        taken = state["mean"][:-1] + 0.3 * state["lasting"][0] * state["shift"][:-1]
-        assert_allclose(again[k], weight * factor * waves @ taken)
+        assert_allclose(again[k], factor * waves @ s["known"])
         assert_allclose(less[k], again[k] / factor)
-        spread = factor**2 * waves @ state["covariance"][:-1, :-1] @ waves
-        shift = factor * waves @ state["shift"][:-1]
-        moments = state["lasting"][1] + state["lasting"][0] ** 2
-        square = spread + 0.3 * shift**2 * moments - (0.3 * shift * state["lasting"][0]) ** 2
-        mean = again[k] / weight
-        assert_allclose(variance[k], weight * square + weight * (1 - weight) * mean**2)
+        assert_allclose(variance[k], factor**2 * waves @ covariance @ waves)

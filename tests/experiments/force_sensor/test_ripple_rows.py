@@ -33,22 +33,21 @@ def drawn(seed, slides=True):
     for name in ("covariance", "covariances"):
         root = SIZE * rng.standard_normal((*s[name].shape[:-1], 3 * COUNT)) / 4
         s[name] = root @ np.swapaxes(root, -1, -2)
-    for name in ("mean", "means", "learned", "level"):
+    for name in ("mean", "means", "expected", "level"):
         s[name] = SIZE * rng.standard_normal(s[name].shape)
-    s["drawn"] = SIZE**2 * rng.uniform(2, 3, COUNT)  # far from the largest ripple
+    s["drawn"] = SIZE**2 * rng.uniform(2, 3, (2, COUNT))  # far from the largest ripple
     for name in ("shift", "shifts"):
         s[name] = 0.1 * rng.standard_normal(s[name].shape)
-    for name in ("lasting", "plain_lasting"):
-        s[name] = SIZE * rng.standard_normal(), SIZE**2 * rng.uniform(1, 2)
-    s["lastings"] = SIZE * rng.uniform(1, 2, (2, 2))
-    s["plain"], s["plain_variance"] = SIZE * rng.standard_normal(), SIZE**2 * rng.uniform(0.5, 1)
+    s["lasting"][:, 0] = SIZE * rng.standard_normal(2)
+    s["lasting"][:, 1] = SIZE**2 * rng.uniform(1, 2, 2)
+    s["lastings"] = SIZE * rng.uniform(1, 2, s["lastings"].shape)
     s["level_variance"] = SIZE**2 * rng.uniform(1, 30, 2)
-    s["plain_shift"], s["other"] = -rng.uniform(0, 0.5), rng.standard_normal()
-    for name in ("touched", "plain_touched", "fast", "lasts", "plain_lasts"):
-        s[name] = rng.uniform(0.1, 0.6)
+    s["other"], s["others"] = rng.standard_normal(), rng.standard_normal(2)
+    for name in ("touched", "fast", "lasts"):
+        s[name] = rng.uniform(0.1, 0.6, s[name].shape)
     s["row"] = np.append(rng.uniform(-1, 1, COUNT), SIZE * rng.standard_normal())
     s["length"], s["filled"], s["slid"] = 17, 17, 17 if slides else 16
-    s["since"], s["doubted"], s["drawn_length"] = 3, rng.integers(COUNT), rng.integers(1024)
+    s["since"], s["doubted"], s["drawn_length"] = (3, 3), rng.integers(COUNT), rng.integers(1024)
     return state, parameters
 
 
@@ -67,27 +66,21 @@ def after_time(s, slides):
     found = {name: np.copy(s[name]) for name in s.dtype.names}
     transition = np.eye(COUNT + 1)
     transition[-1, -1] = kept = math.exp(-TIME / rows.MEMORY) if slides else 0.0
-    fresh = (1 - kept**2) * SIZE**2
     for name in ("mean", "shift"):
-        found[name] = transition @ s[name]
+        found[name] = s[name] @ transition
     found["covariance"] = transition @ s["covariance"] @ transition
-    found["covariance"][-1, -1] += fresh
-    for name in ("plain", "plain_shift"):
-        found[name] = kept * s[name]
-    found["plain_variance"] = kept**2 * s["plain_variance"] + fresh
-    for name in ("touched", "plain_touched"):
-        begun, ended = (1 - s[name]) * rows.BEGINS * TIME, s[name] * rows.ENDS * TIME
-        found[name] = s[name] + begun - ended
+    found["covariance"][:, -1, -1] += (1 - kept**2) * SIZE**2
+    begun, ended = (1 - s["touched"]) * rows.BEGINS * TIME, s["touched"] * rows.ENDS * TIME
+    found["touched"] = s["touched"] + begun - ended
     half = rows.CHANGES * TIME / 2  # a walk that changes becomes either with equal probability
     found["fast"] = s["fast"] * (1 - half) + (1 - s["fast"]) * half
     walks = (np.array(rows.WALKS) * SIZE) ** 2 * TIME
     turned = 0.0 if slides else (rows.AFTER_REVERSAL * SIZE) ** 2 * TIME / rows.ROW_TIME
     found["level_variance"] = s["level_variance"] + walks + turned
-    for name in ("lasting", "plain_lasting"):
-        found[name] = s[name] + [0, (DRIFT * SIZE) ** 2 * TIME]
+    found["lasting"] = s["lasting"] + [0, (DRIFT * SIZE) ** 2 * TIME]
     if slides:
         one = int(s["doubted"])
-        found["covariance"][one, one] += COUNT * s["drawn"][one] * TIME / rows.FORGOTTEN
+        found["covariance"][:, one, one] += COUNT * s["drawn"][:, one] * TIME / rows.FORGOTTEN
         found["doubted"] = (one + 1) % COUNT
     return found
 
@@ -109,44 +102,64 @@ def read(s):
         found["level"][i] = level + gain * (value - level)
         found["level_variance"][i] = (1 - gain) * variance
     touching, found["fast"] = mixed(found["fast"], *likely)
-    evidence = {}
-    for prefix, seen in (("", np.append(s["row"][:-1], 1.0)), ("plain_", np.ones(1))):
-        mean, covariance = (
-            (found["mean"], found["covariance"])
-            if not prefix
-            else (np.atleast_1d(found["plain"]), np.atleast_2d(found["plain_variance"]))
+    evidence, seen = [], np.append(s["row"][:-1], 1.0)
+    for h in range(2):
+        mean, covariance, shift = (
+            found[name][h].copy() for name in ("mean", "covariance", "shift")
         )
-        shift = np.atleast_1d(found[prefix + "shift"])
         error, variance = value - seen @ mean, seen @ covariance @ seen + noise
-        own, lasting = 1 + seen @ shift, found[prefix + "lasting"]
-        before = found[prefix + "touched"]
+        own, lasting = 1 + seen @ shift, found["lasting"][h].copy()
+        before = found["touched"][h]
         alone, touched = mixed(before, density(error, variance), touching)
         whole = variance + own**2 * lasting[1]
         lasts, _ = mixed(before, density(error - own * lasting[0], whole), touching)
         halves = rows.ROW_EVIDENCE * alone, rows.ROW_EVIDENCE * lasts
-        evidence[prefix], found[prefix + "lasts"] = mixed(found[prefix + "lasts"], *halves)
-        found[prefix + "touched"] = touched
+        likely, found["lasts"][h] = mixed(found["lasts"][h], *halves)
+        evidence.append(likely)
+        found["touched"][h] = touched
         gain = (1 - touched) * covariance @ seen / variance
         part = (1 - touched) * own * lasting[1] / whole
-        found[prefix + "lasting"] = [
+        found["lasting"][h] = [
             lasting[0] + part * (error - own * lasting[0]),
             lasting[1] * (1 - part * own),
         ]
-        new = mean + gain * error, covariance - np.outer(gain, seen @ covariance)
-        if prefix:
-            found["plain"], found["plain_variance"] = new[0][0], new[1][0, 0]
-            found["plain_shift"] = (shift - gain * own)[0]
-        else:
-            found["mean"], found["covariance"], found["shift"] = *new, shift - gain * own
-    found["other"] = s["other"] + evidence[""] - evidence["plain_"]
+        found["mean"][h], found["shift"][h] = mean + gain * error, shift - gain * own
+        found["covariance"][h] = covariance - np.outer(gain, seen @ covariance)
+    found["other"] = s["other"] + evidence[1] - evidence[0]
     return found
+
+
+def together(found):
+    """Return by name what the hypotheses are together: moments of a mixture of normals, each with
+    and without a contact that lasts."""
+    lasts, (lasting, doubt) = found["lasts"][:, None], found["lasting"].T[:, :, None]
+    shift, mean = found["shift"][:, :-1], found["mean"][:, :-1]
+    covariance = found["covariance"][:, :-1, :-1]
+    own = mean + lasts * lasting * shift
+    normals = [multivariate_normal(np.zeros(COUNT), np.diag(found["drawn"][0]))]
+    normals.append(multivariate_normal(own[0], covariance[0]))
+    unchanged, near = (normal.logpdf(np.zeros(COUNT)) for normal in normals[::-1])
+    ratio = np.clip(rows.ROW_EVIDENCE * (unchanged - near), -rows.MAX_LOG_RATIO, rows.MAX_LOG_RATIO)
+    odds = np.array([rows.SAME * np.exp(ratio), 1 - rows.SAME, np.exp(found["other"])])
+    same, *weights = odds / odds.sum()
+    parts = [(same, np.zeros(COUNT), np.zeros((COUNT, COUNT)))]
+    for h in range(2):
+        by = np.outer(shift[h], shift[h]) * doubt[h]
+        parts.append((weights[h] * (1 - lasts[h, 0]), mean[h], covariance[h]))
+        parts.append(
+            (weights[h] * lasts[h, 0], mean[h] + lasting[h] * shift[h], covariance[h] + by)
+        )
+    known = sum(part * mean for part, mean, _ in parts)
+    square = sum(part * (covariance + np.outer(m, m)) for part, m, covariance in parts)
+    lower = np.tril(square - np.outer(known, known))
+    return found | {"weights": weights, "known": known, "doubt": lower}
 
 
 def begun(s, found):
     """Return what is found, with the next row begun."""
     length = (137 * s["drawn_length"] + 29) % 1024
     row = {"row": np.zeros(COUNT + 1), "filled": 0, "slid": 0, "drawn_length": length}
-    return found | row | {"length": 10 + 20 * length // 1024}
+    return together(found) | row | {"length": 10 + 20 * length // 1024}
 
 
 KEPT = ("mean", "shift", "lasting", "covariance")
@@ -154,8 +167,9 @@ KEPT = ("mean", "shift", "lasting", "covariance")
 
 def assert_state(s, expected):
     taken_back = (*KEPT, *(name + "s" for name in KEPT), "since")
+    taken_back += ("other", "others", "known", "doubt", "weights")
     for name in s.dtype.names:
-        if s["touched"] > rows.RECOGNISED and name in taken_back:
+        if s["touched"].max() > rows.RECOGNISED and name in taken_back:
             continue
         assert_allclose(s[name], expected[name], rtol=1e-9, atol=1e-15, err_msg=name)
 
@@ -170,6 +184,31 @@ def test_a_row_is_read_as_its_equations_have_it(seed):
     assert_state(state[0], expected)
 
 
+def test_orders_that_were_not_learned_show_no_change():
+    state, _ = drawn(2)
+    s = state[0]
+    rows.mix(s)
+    without = s["weights"].copy()
+    for name in ("mean", "shift", "drawn", "covariance"):
+        s[name][..., 4:6] = 0.0
+    s["covariance"][:, 4:6] = 0.0
+    kept = [i for i in range(COUNT) if i not in (4, 5)]
+    own = multivariate_normal(
+        (s["mean"] + s["lasts"][:, None] * s["lasting"][:, :1] * s["shift"])[0, kept],
+        s["covariance"][0][np.ix_(kept, kept)],
+    )
+    ratio = own.logpdf(np.zeros(len(kept)))
+    ratio -= multivariate_normal(np.zeros(len(kept)), np.diag(s["drawn"][0, kept])).logpdf(
+        0 * own.mean
+    )
+    rows.mix(s)
+    odds = s["weights"] / (1 - s["weights"].sum())
+    assert odds[0] == pytest.approx(
+        (1 - rows.SAME) / rows.SAME / math.exp(rows.ROW_EVIDENCE * ratio)
+    )
+    assert not np.allclose(s["weights"], without)
+
+
 def test_a_row_in_which_the_motion_turns_back_is_not_read():
     state, parameters = drawn(1, slides=False)
     expected = begun(state[0], after_time(state[0], False))
@@ -182,24 +221,29 @@ def test_an_order_beyond_three_times_what_a_power_up_draws_begins_anew(times):
     """Each order has the sum of both of its variances."""
     state, parameters = drawn(2)
     s, order = state[0], 2 * (COUNT // 2 - 1)
-    s["covariance"] = 1e-9 * np.diag(s["drawn"][0] * np.ones(COUNT + 1))  # a row changes no mean
-    limit = rows.LARGEST_RIPPLE_RATIO * math.sqrt(s["drawn"][order : order + 2].sum())
-    s["mean"][:COUNT] = -s["learned"]
-    s["mean"][order : order + 2] += times * limit * np.array([0.6, -0.8])
-    s["row"][-1], s["lasts"] = s["row"][:-1] @ s["mean"][:-1], 0.0
-    s["other"] = 3.0
+    s["covariance"] = 1e-9 * np.diag(s["drawn"][0, 0] * np.ones(COUNT + 1))  # a row changes no mean
+    limit = rows.LARGEST_RIPPLE_RATIO * math.sqrt(s["drawn"][1, order : order + 2].sum())
+    s["mean"][:, :COUNT] = s["expected"]
+    s["mean"][:, order : order + 2] += times * limit * np.array([0.6, -0.8])
+    s["row"][-1], s["lasts"] = s["row"][:-1] @ s["mean"][1, :-1], 0.0
+    s["other"] = 300.0
     kept = s["mean"].copy()
     rows.read_row(s, parameters[0])
     if times < 1:
-        assert_allclose(s["mean"][:COUNT], kept[:COUNT], rtol=1e-4)
+        assert_allclose(s["mean"][1, :COUNT], kept[1, :COUNT], rtol=1e-4)
         return
     assert s["other"] == 0.0
-    assert_allclose(s["mean"][:COUNT], -s["learned"])
-    assert not s["shift"][:COUNT].any()
-    assert_allclose(s["covariance"][:COUNT], np.eye(COUNT + 1)[:COUNT] * np.append(s["drawn"], 0))
-    assert s["covariance"][-1, -1] > 0
+    assert not s["others"].any()
+    assert_allclose(s["mean"][1, :COUNT], s["expected"][1])
+    assert not s["shift"][1, :COUNT].any()
+    own = np.eye(COUNT + 1)[:COUNT] * np.append(s["drawn"][1], 0)
+    assert_allclose(s["covariance"][1, :COUNT], own)
+    assert s["covariance"][1, -1, -1] > 0
     for name in KEPT:
-        assert_allclose(s[name + "s"], [s[name]] * 2)
+        assert_allclose(s[name + "s"][1], [s[name][1]] * 2)
+    # one near the learned ripple stays
+    assert_allclose(s["mean"][0, :COUNT], kept[0, :COUNT], rtol=1e-4)
+    assert np.diag(s["covariance"][0])[:COUNT].max() < 1e-2 * s["drawn"][0].min()
 
 
 def test_odds_stay_within_the_largest_ratio():
@@ -213,20 +257,23 @@ def test_odds_stay_within_the_largest_ratio():
 def test_what_was_known_before_a_recognised_contact_comes_back():
     state, parameters = drawn(4)
     s = state[0]
-    s["row"][-1], s["plain"] = 60 * SIZE, 0.0
+    s["row"][-1] = 60 * SIZE
     before = {name: s[name + "s"].copy() for name in KEPT}
+    odds = s["others"].copy()
     rows.read_row(s, parameters[0])
-    assert s["touched"] > rows.RECOGNISED
-    assert s["since"] == 0
+    assert s["touched"].min() > rows.RECOGNISED
+    assert_allclose([s["other"], *s["others"]], odds[0])
+    assert not s["since"].any()
     for name in KEPT:
         # what strokes deviate by is drawn anew
         own = (..., slice(COUNT), slice(COUNT)) if name == "covariance" else (..., slice(COUNT))
-        for again in (s[name], s[name + "s"][1]):
-            assert_allclose(again[own], before[name][0][own], err_msg=name)
-        assert_allclose(s[name + "s"][0], before[name][0])
-    assert s["mean"][-1] == s["shift"][-1] == 0
-    assert_allclose(s["covariance"][-1], np.append(np.zeros(COUNT), SIZE**2))
-    assert_allclose(s["covariance"][:, -1], s["covariance"][-1])
+        for again in (s[name], s[name + "s"][:, 1]):
+            assert_allclose(again[own], before[name][:, 0][own], err_msg=name)
+        assert_allclose(s[name + "s"][:, 0], before[name][:, 0])
+    assert not s["mean"][:, -1].any()
+    assert not s["shift"][:, -1].any()
+    assert_allclose(s["covariance"][:, -1], [np.append(np.zeros(COUNT), SIZE**2)] * 2)
+    assert_allclose(s["covariance"][..., -1], s["covariance"][:, -1])
 
 
 @pytest.mark.parametrize(("since", "moved"), [(23, False), (24, True)])
@@ -235,11 +282,13 @@ def test_what_is_known_is_kept_every_so_many_rows(since, moved):
     s = state[0]
     s["since"] = since
     before = {name: s[name + "s"].copy() for name in KEPT}
+    odds = s["others"].copy()
     rows.read_row(s, parameters[0])
-    assert s["touched"] < rows.RECOGNISED
-    assert s["since"] == (0 if moved else since + 1)
+    assert s["touched"].max() < rows.RECOGNISED
+    assert_allclose(s["others"], [odds[1], s["other"]] if moved else odds)
+    assert_allclose(s["since"], 0 if moved else since + 1)
     for name in KEPT:
-        now = [before[name][1], s[name]] if moved else before[name]
+        now = np.stack([before[name][:, 1], s[name]], axis=1) if moved else before[name]
         assert_allclose(s[name + "s"], now, err_msg=name)
 
 
@@ -248,11 +297,11 @@ def test_a_row_that_is_surely_touched_leaves_the_ripple_alone():
     s = state[0]
     s["row"][-1] = 300 * SIZE
     for name in KEPT:
-        s[name + "s"][:] = s[name]
+        s[name + "s"][:] = s[name][:, None]
     expected = after_time(s, True)
     rows.read_row(s, parameters[0])
-    assert s["touched"] > 1 - rows.MIN_UNTOUCHED_PROBABILITY
-    assert_allclose(s["mean"][:COUNT], expected["mean"][:COUNT], rtol=1e-12)
+    assert s["touched"].min() > 1 - rows.MIN_UNTOUCHED_PROBABILITY
+    assert_allclose(s["mean"][:, :COUNT], expected["mean"][:, :COUNT], rtol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -64,6 +64,20 @@ def test_forces_from_outside_are_no_friction(load, seed, touched):
         assert found.widening < U
 
 
+@pytest.mark.parametrize(("periods", "passes"), [(7 + 1 / 3, 24), (11 / 3, 50), (18 + 1 / 3, 10)])
+@pytest.mark.parametrize("size", [6e-3, 10e-3])
+def test_a_force_that_swings_all_the_time_is_no_friction(periods, passes, size):
+    """It meets an angle at three phases, in either direction: a third of the passes are alike."""
+    direction = np.tile([1.0, -1.0], passes // 2)
+    place = np.arange(ANGLE_CELLS) / ANGLE_CELLS
+    place = np.where(direction[:, None] > 0, place, 1 - place)
+    turns = periods * (np.arange(passes)[:, None] / 2 + 0.41 * place)
+    for begin in np.linspace(0, 1, 7):
+        torque = size * np.sin(2 * np.pi * (turns + begin))
+        found = unknown_friction([Passes(direction, torque, np.full_like(torque, U))])
+        assert found is None or found.typical < REFUSED
+
+
 def test_a_hand_that_moves_the_rig_is_no_friction():
     passes = strokes(np.random.default_rng(1), -16e-3)
     assert unknown_friction([passes]).typical > REFUSED
