@@ -199,6 +199,7 @@ def _fit_holds(
         require_linear_at_low_current(
             current_setpoint=asked,
             current=shown,
+            sample_time=recipe.rig.sample_time * recipe.stribeck.record_every,
             friction_current=float(np.mean(np.abs(every.torque))) / scale.value,
         )
         if all(name in kt.results for name in AMPLIFIER):

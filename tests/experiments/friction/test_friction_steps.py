@@ -518,8 +518,9 @@ def test_deviations_beyond_noise_are_a_25th_of_the_current_that_friction_takes(n
     rms = math.sqrt((size * off @ off - by_noise) / (bins * size))
     # few samples at one higher set point, which is no part of the range
     signals = {
-        "current_setpoint": np.append(level, np.full(10, 0.07)),
-        "current": np.append(current, np.full(10, 9.0)),
+        "current_setpoint": np.append(level, np.full(9, 0.07)),
+        "current": np.append(current, np.full(9, 9.0)),
+        "sample_time": 0.02,
     }
     friction = rms / 0.04 * (1.001 if passes else 0.999)
     if passes:
