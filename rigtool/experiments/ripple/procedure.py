@@ -164,7 +164,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     ]
     constants, per_amperes, heat_note = _constants(kt, recorded, found)
     ripples = [
-        remove_offset(own.waveforms * per_ampere, own.sampling)
+        remove_offset(own.waveforms * per_ampere, own.sampling, own.elapsed)
         for own, per_ampere in zip(found, per_amperes, strict=True)
     ]
     by_speed, by_torque = ripples[: len(speeds)], ripples[len(speeds) :][: len(torques)]
@@ -230,6 +230,7 @@ class _Collected:
     """Steady revolutions of a recording: `waveforms` (revolutions, positions), A."""
 
     waveforms: Array
+    elapsed: Array
     forward: bool
     sampling: Sampling
     passed: Array
@@ -259,7 +260,8 @@ def _collected(
         settings = recipe.fft_ripple
         sampling = Sampling(revolutions.step, settings.record_every)
         waveforms = revolutions.waveforms(settings.revolutions)
-    return _Collected(waveforms, last > first, sampling, *revolutions.turns())
+        elapsed = revolutions.elapsed(settings.revolutions)
+    return _Collected(waveforms, elapsed, last > first, sampling, *revolutions.turns())
 
 
 def _constants(
