@@ -288,13 +288,14 @@ def test_recordings_hold_their_turns_at_constant_speed():
 
 def test_a_soft_loop_makes_no_orders_of_strong_ripple(folder, kt):
     """Cogging of orders 9 and 13 varies the speed: orders 4 and 22 of the controller's torque."""
+    cogging = "{ order = 9, amplitude = 1.2e-3 }, { order = 13, amplitude = 1e-3 }"
     outcome = run(
         FFT_RIPPLE,
         RECIPE,
         folder / "soft.h5",
         *SHORT,
         *QUIET,
-        "virtual.motor.cogging=[{ order = 9, amplitude = 1.2e-3 }, { order = 13, amplitude = 1e-3 }]",
+        f"virtual.motor.cogging=[{cogging}]",
         "rig.controller.crossover_hz=20",
         "fft_ripple.speeds=[6]",
         "fft_ripple.torques=[]",
