@@ -24,6 +24,7 @@ from rigtool.experiments.controller_torque import (
     usual_current,
 )
 from rigtool.experiments.friction.breakaway import Breakaway, TorqueRamp, around_turn, find_ramps
+from rigtool.experiments.friction.direction_fit import DirectionFit
 from rigtool.experiments.friction.holds import SHAKING_LIMIT, UNEVEN_LIMIT, Holds, find_holds, pool
 from rigtool.experiments.friction.low_current import (
     require_calibrated_gain,
@@ -46,7 +47,7 @@ from rigtool.experiments.friction.results import (
     torque_speed_table,
 )
 from rigtool.experiments.friction.results_difference import add_curve_difference, require_different
-from rigtool.experiments.friction.stribeck_fit import DirectionFit, fit_directions, mean_by_speed
+from rigtool.experiments.friction.stribeck_fit import fit_directions, mean_by_speed
 from rigtool.experiments.friction.sweep import TorqueSpeed, torque_speed_curve
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.torque_per_ampere import mean_constant, torque_per_ampere

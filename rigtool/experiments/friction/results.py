@@ -10,9 +10,9 @@ from types import MappingProxyType
 import numpy as np
 
 from rigtool.experiments.friction.breakaway import Breakaway, TorqueRamp
+from rigtool.experiments.friction.direction_fit import DIRECTION_NAMES, DirectionFit
 from rigtool.experiments.friction.holds import Holds
 from rigtool.experiments.friction.offset import Offset
-from rigtool.experiments.friction.stribeck_fit import DIRECTION_NAMES, DirectionFit
 from rigtool.experiments.friction.sweep import TorqueSpeed
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import (

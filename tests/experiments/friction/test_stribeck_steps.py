@@ -19,6 +19,7 @@ from rigtool.experiments.friction.stribeck_fit import (
     _straight_part,
     _stribeck,
     fit_direction,
+    fit_directions,
     mean_by_speed,
 )
 
@@ -254,3 +255,17 @@ def test_a_velocity_at_an_edge_of_those_that_speeds_can_show_is_none(velocity, f
     v = np.geomspace(0.4, 30, 40)
     u = np.full(40, 1e-9)
     assert (_stribeck(v, stribeck(v, 1.0, velocity, 2.0), 1 / u, 2.0) is not None) == found
+
+
+@pytest.mark.parametrize("count", [6, 7, 9])
+def test_a_clear_curve_through_few_speeds_is_not_mistaken_for_structure(count):
+    """Three speeds within the Stribeck effect, the others far above it."""
+    v = np.array([0.8, 1.0, 1.15, 6.0, 16.0, 45.0, 7.0, 20.0, 30.0])[:count]
+    u = np.full(count, 0.005)
+    away = 0.5 * u * np.resize([1, -1, 1], count)
+    f = 0.6 + 0.4 * np.exp(-((v / 1.3) ** 2)) + 5.8e-3 * v + away
+    for fit in fit_directions(np.r_[v, -v], np.r_[f, -f], np.r_[u, u]).values():
+        assert fit.exponent == 2.0
+        assert fit.coulomb[0] == pytest.approx(0.6, abs=3 * fit.coulomb[1])
+        assert fit.viscous[0] == pytest.approx(5.8e-3, abs=3 * fit.viscous[1])
+        assert fit.static[0] == pytest.approx(1.0, abs=3 * fit.static[1])
