@@ -129,9 +129,9 @@ def fit_direction(
     if best.exponent is None:
         best = _straight_part(v, f, weight)
         _require_no_fall(best)
-    averaged, spread = _averaged(best, curves, v, f, weight)
+    averaged, own = _averaged(best, curves, v, f, weight)
     covariance = best.covariance.copy()
-    covariance[:2, :2] += spread
+    covariance[:2, :2] = own
     return replace(best, averaged=averaged, covariance=covariance, criterion=lowest + needed)
 
 
@@ -157,7 +157,7 @@ def _averaged(
     f: Array,
     weight: Array,
 ) -> tuple[Array, Array]:
-    """Return fc and fv (2,), and the mean square by which those of other models differ (2, 2).
+    """Return fc and fv (2,) and their covariance (2, 2), that of each model and between them.
 
     They are those of a chosen Stribeck curve; where the line is chosen, the mean over all models: a
     line through an unresolved Stribeck effect has less slope than the friction, never more.
@@ -173,10 +173,11 @@ def _averaged(
     few = len(v) < FEW_SPEEDS
     of_line = (f - line.evaluate(v)) * weight * ~left_out
     criteria = [_akaike(of_line, 2 + int(left_out.sum()), known=few)]
-    parameters, prior = [line.parameters[:2]], [0.5]
+    parameters, covariances, prior = [line.parameters[:2]], [line.covariance[:2, :2]], [0.5]
 
-    def add(found: Array, criterion: float, share: float) -> None:
+    def add(found: Array, covariance: Array, criterion: float, share: float) -> None:
         parameters.append(found[:2])
+        covariances.append(covariance[:2, :2])
         criteria.append(criterion)
         prior.append(0.5 / len(curves) * share)
 
@@ -184,20 +185,24 @@ def _averaged(
     for exponent, resolved in curves.items():
         if resolved is not None:
             rest = (f - resolved.evaluate(v)) * weight
-            add(resolved.parameters, _akaike(rest, 4, known=few), 1.0)
+            add(resolved.parameters, resolved.covariance, _akaike(rest, 4, known=few), 1.0)
             continue
         for vs in velocities:
             design = _columns(v, vs, exponent)
-            found = np.asarray(np.linalg.lstsq(design * weight[:, None], f * weight, rcond=None)[0])
+            inverse = np.linalg.pinv(design * weight[:, None])
+            found = inverse @ (f * weight)
             if found[2] >= found[0]:
                 rest = (f - design @ found) * weight
-                add(found, _akaike(rest, 3, known=few), 1 / len(velocities))
+                scale = max(1.0, float(rest @ rest) / max(len(v) - 3, 1))
+                criterion = _akaike(rest, 3, known=few)
+                add(found, inverse @ inverse.T * scale, criterion, 1 / len(velocities))
     probable = np.array(prior) * np.exp((min(criteria) - np.array(criteria)) / 2)
     probable /= probable.sum()
     line_chosen = chosen.exponent is None
     stated = probable @ np.array(parameters) if line_chosen else chosen.parameters[:2]
     apart = np.array(parameters) - stated
-    return stated, np.einsum("k,ki,kj->ij", probable, apart, apart)
+    between = np.einsum("k,ki,kj->ij", probable, apart, apart)
+    return stated, np.einsum("k,kij->ij", probable, np.array(covariances)) + between
 
 
 def mean_by_speed(v: Array, f: Array, u: Array) -> tuple[Array, Array, Array]:
@@ -347,6 +352,7 @@ def require_explained(fits: Sequence[DirectionFit]) -> None:
             f"the best friction model, far beyond the scatter of its points; limit "
             f"{limit * 1e3:.3g} mN m ({100 * STRUCTURE_LIMIT:.0f} % of the friction); worst at "
             f"{worst.worst_speed:.3g} rad/s. No friction model explains that: suspect noise "
-            "that is slower than a hold (raise stribeck.hold_time), the current amplifier at low "
+            "that is slower than a hold (raise stribeck.hold_time), a Stribeck effect that too few "
+            "speeds show (hold 8 or more, some of them above it), the current amplifier at low "
             "current, or a resonance of the speed loop"
         )
