@@ -78,17 +78,18 @@ def require_calibrated_gain(
         )
 
 
-def require_linear_at_low_current(
+def deviation_at_low_current(
     *,
     current_setpoint: ArrayLike,
     current: ArrayLike,
     sample_time: float,
     friction_current: float,
-) -> None:
-    """Raise `InsufficientDataError` where the amplifier is not linear at low current.
+) -> float:
+    """Return how far the current is off its line beyond noise of the reading, rms A.
 
     `current_setpoint` and `current` (n,) in A from holds, `sample_time` s apart;
-    `friction_current` in A.
+    `friction_current` in A. Zero for too few set points. Raises `InsufficientDataError` where the
+    amplifier is not linear at low current.
     """
     from scipy.special import chdtri
 
@@ -104,7 +105,7 @@ def require_linear_at_low_current(
     count = np.bincount(index, minlength=SETPOINT_BINS)
     full = count >= MIN_MEANS_IN_BIN
     if np.count_nonzero(full) < 5:
-        return  # too few set points for linearity
+        return 0.0
     level, mean = (
         np.bincount(index, weights=signal, minlength=SETPOINT_BINS)[full] / count[full]
         for signal in (setpoint, measured)
@@ -127,3 +128,4 @@ def require_linear_at_low_current(
             f"{limit * 1e3:.3g} mA ({100 * DEVIATION_LIMIT:.0f} % of the current that friction "
             "takes): it is not linear at low current; use another amplifier"
         )
+    return rms

@@ -32,8 +32,8 @@ from rigtool.experiments.friction.holds import (
     pool,
 )
 from rigtool.experiments.friction.low_current import (
+    deviation_at_low_current,
     require_calibrated_gain,
-    require_linear_at_low_current,
 )
 from rigtool.experiments.friction.procedure_analysis import (
     _fit_sweep,
@@ -524,10 +524,11 @@ def test_deviations_beyond_noise_are_a_25th_of_the_current_that_friction_takes(n
     }
     friction = rms / 0.04 * (1.001 if passes else 0.999)
     if passes:
-        require_linear_at_low_current(**signals, friction_current=friction)
+        found = deviation_at_low_current(**signals, friction_current=friction)
+        assert found == pytest.approx(rms, rel=1e-6)
         return
     with pytest.raises(InsufficientDataError, match="not linear at low current"):
-        require_linear_at_low_current(**signals, friction_current=friction)
+        deviation_at_low_current(**signals, friction_current=friction)
 
 
 def test_a_profile_changes_speed_at_one_rate_and_holds_whole_turns():
