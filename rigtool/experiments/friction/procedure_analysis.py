@@ -126,6 +126,7 @@ def analyse(
                 recording.condition("radial_force"),
                 found,
                 recipe.rig.weights_relative_u,
+                offset,
             )
     elif "sweep" in curves:
         fits = _fit_sweep(curves["sweep"])
