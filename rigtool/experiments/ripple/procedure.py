@@ -40,6 +40,7 @@ from rigtool.experiments.ripple.results import (
     loop_note,
     revolutions_table,
     ripple_results,
+    varying_note,
 )
 from rigtool.experiments.ripple.revolutions import Revolutions
 from rigtool.experiments.ripple.winding_heat import Lowered, TurnCurrents, winding_heat
@@ -189,6 +190,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
         heat_note,
         loop_note(recipe, speeds[-1].condition("speed") / (2 * math.pi)),
         *_shaking_note(recorded, recipe),
+        *varying_note(recorded, ripples),
         *_resolution_notes(speeds, by_speed, "speed", "rad/s"),
         *_resolution_notes(torques, by_torque, "torque", "N m"),
         *unsampled_note(runs, constants[0].value),

@@ -20,6 +20,18 @@ POINTS = 16384
 """Points of a turn between which waves are straight: order 100 loses a ten-thousandth."""
 
 
+ORDERS = 30
+"""Orders by which ripple varies the speed: the inertia holds higher ones."""
+
+
+def speed_variation(elapsed: Array) -> float:
+    """Return the relative standard deviation of the speed around the turn; `elapsed` as in
+    `orders.Ripple`."""
+    cells = len(elapsed) - 1
+    late = np.fft.rfft(elapsed[:-1] - np.arange(cells) / cells)[1 : ORDERS + 1] * (2 / cells)
+    return float(np.linalg.norm(2 * np.pi * np.arange(1, len(late) + 1) * late)) / np.sqrt(2)
+
+
 def motor_orders(asked: ComplexArray, loop: ComplexArray, elapsed: Array) -> ComplexArray:
     """Return the orders 1..m of the motor's torque over the angle from those of the controller's.
 

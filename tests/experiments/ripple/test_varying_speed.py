@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rigtool.experiments.ripple.varying_speed import motor_orders
+from rigtool.experiments.ripple.varying_speed import motor_orders, speed_variation
 
 ORDERS, POINTS = 40, 4096
 TURN = np.arange(POINTS) / POINTS
@@ -35,3 +35,11 @@ def test_the_loop_is_taken_off_over_time_and_orders_are_those_of_the_angle(swing
     # T taken off order by order would leave these:
     left = np.abs(by_angle / LOOP)[[13, 21]]
     assert (left > 0.02).all() if swing else (left < 1e-6).all()
+
+
+@pytest.mark.parametrize("part", [0.0, 0.02, 0.2])
+def test_the_variation_of_the_speed_is_its_standard_deviation(part):
+    """Time a cell takes is 1 + a sqrt(2) cos of order 5."""
+    place = np.arange(501) / 500
+    late = part * np.sqrt(2) * np.sin(2 * np.pi * 5 * place) / (2 * np.pi * 5)
+    assert speed_variation(place + late) == pytest.approx(part, rel=1e-3, abs=1e-9)
