@@ -25,8 +25,10 @@ ORDERS = 30
 
 
 def speed_variation(elapsed: Array) -> float:
-    """Return the relative standard deviation of the speed around the turn; `elapsed`
-    (positions + 1,) as in `orders.Ripple`."""
+    """Return the relative standard deviation of the speed around the turn.
+
+    `elapsed` (positions + 1,) as in `orders.Ripple`.
+    """
     cells = len(elapsed) - 1
     late = np.fft.rfft(elapsed[:-1] - np.arange(cells) / cells)[1 : ORDERS + 1] * (2 / cells)
     return float(np.linalg.norm(2 * np.pi * np.arange(1, len(late) + 1) * late)) / np.sqrt(2)
