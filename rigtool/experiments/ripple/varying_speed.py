@@ -27,7 +27,7 @@ ORDERS = 30
 def speed_variation(elapsed: Array) -> float:
     """Return the relative standard deviation of the speed around the turn.
 
-    `elapsed` (positions + 1,) as in `orders.Ripple`.
+    `elapsed` (n,) at the edges of n - 1 cells, as in `orders.Ripple`.
     """
     cells = len(elapsed) - 1
     late = np.fft.rfft(elapsed[:-1] - np.arange(cells) / cells)[1 : ORDERS + 1] * (2 / cells)
@@ -37,7 +37,7 @@ def speed_variation(elapsed: Array) -> float:
 def motor_orders(asked: ComplexArray, loop: ComplexArray, elapsed: Array) -> ComplexArray:
     """Return the orders 1..m of the motor's torque over the angle from those of the controller's.
 
-    `asked` and `loop`, T at each order, (m,); `elapsed` (positions + 1,) as in `orders.Ripple`.
+    `asked` and `loop`, T at each order, (m,); `elapsed` (n + 1,) as in `orders.Ripple`.
     """
     angle = np.arange(POINTS) / POINTS
     time = np.interp(angle, np.linspace(0.0, 1.0, len(elapsed)), elapsed)
