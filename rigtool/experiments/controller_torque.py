@@ -63,7 +63,7 @@ steps and the delay of the current leave this much at any load."""
 LOWEST_HZ = 0.5
 """Lower end of the band in which the controller's gain counts: slower than any motion."""
 
-SMALLER_FORCE = "use a smaller force, or move slower"
+SMALLER_FORCE = "use a smaller force, take a stiffer [rig.controller], or move slower"
 """Remedy where the loop saturates under a load."""
 
 SPECTRUM_POINTS, EDGE_HARMONICS = 500, 50

@@ -161,17 +161,20 @@ def load_rows(
     """
     angle = math.radians(recipe.measure_force.measure_angle)
     unloaded = statistics(loads[0].values)
-    zero = unloaded.mean if recipe.measure_force.zero else 0.0
+    table = [Component("learned table", 0.0, "N m", table_u, None, recipe.rig.torque_factor)]
     # The zero reading contains the error of the table, too, and removes it; its own uncertainty
     # takes the place of the table's.
-    zero_u = math.hypot(unloaded.u, loads[0].method_u) / recipe.rig.torque_factor
-    offset_u = zero_u if recipe.measure_force.zero else table_u
+    zeroed = [
+        error_line("zero reading", unloaded.u, "N m", unloaded.dof),
+        error_line("method of the zero reading", loads[0].method_u, "N m"),
+    ]
+    zero, offset = (unloaded.mean, zeroed) if recipe.measure_force.zero else (0.0, table)
     rows = []
     for load in loads:
         if load is loads[0]:
-            found, own_u = unloaded, table_u
+            found, own = unloaded, table
         else:
-            found, own_u = statistics(load.values - zero), offset_u
+            found, own = statistics(load.values - zero), offset
         # What a load adds to ripple of i |i| grows with the current that flows without, too.
         held = abs(found.mean) / recipe.rig.torque_factor + 2 * np.mean(np.abs(load.feedforward))
         here = _with_ripple(constant, ripple(float(held) / constant.value))
@@ -179,7 +182,7 @@ def load_rows(
             LoadRow(
                 applied_force=load.force,
                 applied=_applied_quantity(recipe, load.force, angle),
-                mean=_mean_quantity(found, recipe, here, own_u, load.method_u),
+                mean=_mean_quantity(found, recipe, here, own, load.method_u),
                 std_torque=found.std,
                 # S / sqrt(2 (n - 1)) for normal readings (GUM E.4.3)
                 std_torque_u=found.std / math.sqrt(2 * (found.count - 1)),
@@ -258,19 +261,22 @@ def loads_table(
 
 
 def _mean_quantity(
-    row: LoadStatistics, recipe: Recipe, constant: Quantity, offset_u: float, method_u: float
+    row: LoadStatistics,
+    recipe: Recipe,
+    constant: Quantity,
+    offset: Sequence[Component],
+    method_u: float,
 ) -> Quantity:
     """Return the mean torque with its whole uncertainty; `constant` is that at one rotor angle.
 
-    torque = factor * (Kt * current + offset) + method (GUM 5.1.2). The offset is zero; `offset_u`,
-    N m at the motor, is its standard uncertainty, from the zero reading or from the learned table.
-    `method_u` is that of `LoadReadings`.
+    torque = factor * Kt * current + offset + method (GUM 5.1.2). The `offset` is zero; its lines
+    are those of the zero reading or of the learned table. `method_u` is that of `LoadReadings`.
     """
-    rig, mean = recipe.rig, row.mean
+    mean = row.mean
     lines = [
         error_line("scatter", row.u, "N m", row.dof),
         *inherited(constant, mean / constant.value, "torque constant"),
-        Component("zero reading or learned table", 0.0, "N m", offset_u, None, rig.torque_factor),
+        *offset,
         error_line("method of the reading", method_u, "N m"),
         ratio_line(recipe, -mean),
     ]

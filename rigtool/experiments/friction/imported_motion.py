@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rigtool.experiments.friction.direction_fit import DIRECTION_NAMES
 from rigtool.experiments.friction.inverse_dynamics import Dynamics, identify_dynamics
 from rigtool.experiments.friction.motion_terms import SmoothedMotion
 from rigtool.experiments.friction.offset import undivided
 from rigtool.experiments.friction.results import SAME_COULOMB, Findings
-from rigtool.experiments.friction.stribeck_fit import DIRECTION_NAMES
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table

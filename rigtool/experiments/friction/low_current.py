@@ -2,8 +2,10 @@
 whether it is the one that was calibrated.
 
 measured current = offset + gain * set point + deviation(set point), by least squares through the
-means of bins of set point. The deviations of a sound amplifier are small against the current that
-friction takes; those of the IDM640 in Appendix C were not.
+means of bins of set point. Both are means over a time against which the lag of an amplifier is
+short: its current does not follow each step of a set point, which shakes differently at each speed.
+The deviations of a sound amplifier are small against the current that friction takes; those of the
+IDM640 in Appendix C were not.
 """
 
 from __future__ import annotations
@@ -20,19 +22,17 @@ from rigtool.quantity import Quantity
 SETPOINT_BINS = 60
 """Number of bins of set point."""
 
-MIN_SAMPLES_IN_BIN = 50
-"""Smallest number of samples in a bin."""
+MEAN_TIME = 0.02
+"""Time over which currents are averaged, s: some ten lags of a current loop of 100 Hz."""
+
+MIN_MEANS_IN_BIN = 10
+"""Smallest number of these means in a bin."""
 
 DEVIATION_LIMIT = 0.04
 """Largest rms deviation, relative to the current that friction takes."""
 
 BY_CHANCE = 0.01
 """How seldom noise of the reading alone leaves as large deviations."""
-
-SHAKEN_RATIO = 5.0
-"""Set points of this many times the current that friction takes are the loop's answer to the steps
-of the encoder, or to noise: a current that lags behind them is not a straight line over them."""
-
 
 GAIN_PARTS = 64
 """Parts of the holds whose mean currents show the gain: their scatter is its uncertainty."""
@@ -78,50 +78,48 @@ def require_calibrated_gain(
         )
 
 
-def require_linear_at_low_current(
-    *, current_setpoint: ArrayLike, current: ArrayLike, friction_current: float
-) -> None:
-    """Raise `InsufficientDataError` where the amplifier is not linear at low current.
+def deviation_at_low_current(
+    *,
+    current_setpoint: ArrayLike,
+    current: ArrayLike,
+    sample_time: float,
+    friction_current: float,
+) -> float:
+    """Return how far the current is off its line beyond noise of the reading, rms A.
 
-    `current_setpoint` and `current` (n,) in A from holds, `friction_current` in A.
+    `current_setpoint` and `current` (n,) in A from holds, `sample_time` s apart;
+    `friction_current` in A. Zero for too few set points. Raises `InsufficientDataError` where the
+    amplifier is not linear at low current.
     """
     from scipy.special import chdtri
 
-    setpoint, measured = require_signals(
-        MIN_SAMPLES_IN_BIN, current_setpoint=current_setpoint, current=current
+    every = max(1, round(MEAN_TIME / sample_time))
+    setpoint, measured = (
+        signal[: len(signal) // every * every].reshape(-1, every).mean(axis=1)
+        for signal in require_signals(every, current_setpoint=current_setpoint, current=current)
     )
     low, high = np.percentile(setpoint, [0.5, 99.5])
     number = np.floor((setpoint - low) / max(high - low, 1e-300) * SETPOINT_BINS)
     inside = (number >= 0) & (number < SETPOINT_BINS)
-    index = number[inside].astype(np.int64)
+    setpoint, measured, index = setpoint[inside], measured[inside], number[inside].astype(np.int64)
     count = np.bincount(index, minlength=SETPOINT_BINS)
-    full = count >= MIN_SAMPLES_IN_BIN
+    full = count >= MIN_MEANS_IN_BIN
     if np.count_nonzero(full) < 5:
-        return  # too few set points for linearity
-    level = (
-        np.bincount(index, weights=setpoint[inside], minlength=SETPOINT_BINS)[full] / count[full]
+        return 0.0
+    level, mean = (
+        np.bincount(index, weights=signal, minlength=SETPOINT_BINS)[full] / count[full]
+        for signal in (setpoint, measured)
     )
-    mean = np.bincount(index, weights=measured[inside], minlength=SETPOINT_BINS)[full] / count[full]
     design = np.column_stack([np.ones(len(level)), level])
     weight = np.sqrt(count[full])
     line = np.linalg.pinv(design * weight[:, None]) @ (mean * weight)
     deviation = mean - design @ line
-    # What noise of the reading leaves of the means of n samples each: sigma2/n, a chi-square.
+    # What noise of the reading leaves of the means of n values each: sigma2/n, a chi-square.
     square = float(np.sum(count[full] * deviation**2))
-    noise = np.mean((measured[inside] - line[0] - line[1] * setpoint[inside]) ** 2)
+    noise = np.mean((measured - line[0] - line[1] * setpoint) ** 2)
     by_noise = float(noise) * chdtri(len(level) - 2, BY_CHANCE)
     rms = math.sqrt(max(square - by_noise, 0.0) / float(np.sum(count[full])))
     limit = DEVIATION_LIMIT * friction_current
-    if (
-        rms > limit
-        and (shaken := float(np.abs([low, high]).max())) > SHAKEN_RATIO * friction_current
-    ):
-        raise InsufficientDataError(
-            f"the current set point shakes by {shaken * 1e3:.3g} mA, limit "
-            f"{SHAKEN_RATIO * friction_current * 1e3:.3g} mA ({SHAKEN_RATIO:g} times what friction "
-            "takes), and the current lags behind it: noise, ripple or steps of the encoder in the "
-            "loop, or hardly any friction; take an encoder with more counts, or a softer controller"
-        )
     if rms > limit:
         worst = int(np.argmax(np.abs(deviation)))
         raise InsufficientDataError(
@@ -130,3 +128,4 @@ def require_linear_at_low_current(
             f"{limit * 1e3:.3g} mA ({100 * DEVIATION_LIMIT:.0f} % of the current that friction "
             "takes): it is not linear at low current; use another amplifier"
         )
+    return rms

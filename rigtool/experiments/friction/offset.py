@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rigtool.experiments.friction.stribeck_fit import DirectionFit
+from rigtool.experiments.friction.direction_fit import DirectionFit
 from rigtool.numerics.arrays import Array
 
 ASYMMETRY_U_LIMIT = 0.1

@@ -24,10 +24,11 @@ from rigtool.experiments.controller_torque import (
     usual_current,
 )
 from rigtool.experiments.friction.breakaway import Breakaway, TorqueRamp, around_turn, find_ramps
+from rigtool.experiments.friction.direction_fit import DirectionFit
 from rigtool.experiments.friction.holds import SHAKING_LIMIT, UNEVEN_LIMIT, Holds, find_holds, pool
 from rigtool.experiments.friction.low_current import (
+    deviation_at_low_current,
     require_calibrated_gain,
-    require_linear_at_low_current,
 )
 from rigtool.experiments.friction.offset import Offset, separate_offset
 from rigtool.experiments.friction.results import (
@@ -46,7 +47,7 @@ from rigtool.experiments.friction.results import (
     torque_speed_table,
 )
 from rigtool.experiments.friction.results_difference import add_curve_difference, require_different
-from rigtool.experiments.friction.stribeck_fit import DirectionFit, fit_directions, mean_by_speed
+from rigtool.experiments.friction.stribeck_fit import fit_directions, mean_by_speed
 from rigtool.experiments.friction.sweep import TorqueSpeed, torque_speed_curve
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.torque_per_ampere import mean_constant, torque_per_ampere
@@ -70,7 +71,7 @@ BREAKAWAY, BREAKAWAY_LOADED, HOLDS_LOADED = "breakaway", "breakaway_loaded", "ho
 def coulomb_and_viscous(holds: Recording, recipe: Recipe, kt: Run) -> Uncertain:
     """Return Coulomb [N m] and viscous friction [N m s/rad] from holds in both directions."""
     scale = Scale(torque_per_ampere(kt, [holds]))
-    fits, _, _ = _fit_holds([holds], recipe, scale, kt)
+    fits, *_ = _fit_holds([holds], recipe, scale, kt)
     return (
         float(np.mean([fit.coulomb[0] for fit in fits.values()])),
         float(np.mean([fit.viscous[0] for fit in fits.values()])),
@@ -110,13 +111,14 @@ def analyse(
     fits: dict[int, DirectionFit] = {}
     offset = None
     if recordings[HOLD_RECORDING]:
-        fits, holds, notes = _fit_holds(recordings[HOLD_RECORDING], recipe, found.scale, kt)
+        fits, holds, notes, bent = _fit_holds(recordings[HOLD_RECORDING], recipe, found.scale, kt)
         found.notes.extend(notes)
         found.tables["holds"] = holds_table(holds)
         offset = separate(fits, holds, [b for b in (unloaded, loaded) if b is not None])
         _note_lacking(UnsampledCurrent.of(runs), holds, found)
         start, slope = holds.lagging_line()
         found.common["ripple that lags behind its angle"] = abs(start), abs(slope)
+        found.common["amplifier at low current"] = bent, bent / float(np.abs(holds.speed).std())
         for recording in recordings[HOLDS_LOADED][:1]:
             add_radial_friction(
                 holds,
@@ -124,6 +126,7 @@ def analyse(
                 recording.condition("radial_force"),
                 found,
                 recipe.rig.weights_relative_u,
+                offset,
             )
     elif "sweep" in curves:
         fits = _fit_sweep(curves["sweep"])
@@ -184,9 +187,10 @@ def _find_holds(recording: Recording, recipe: Recipe, scale: Scale) -> Holds:
 
 def _fit_holds(
     recordings: Iterable[Recording], recipe: Recipe, scale: Scale, kt: Run
-) -> tuple[dict[int, DirectionFit], Holds, list[str]]:
-    """Return the fit by direction (+1, -1), the holds that it rests on, and notes."""
-    parts = []
+) -> tuple[dict[int, DirectionFit], Holds, list[str], float]:
+    """Return the fit by direction (+1, -1), the holds that it rests on, notes, and the torque, N m,
+    by which the amplifier is off its straight line."""
+    parts, bent = [], 0.0
     setpoints, currents = [], []
     for recording in recordings:
         parts.append(_find_holds(recording, recipe, scale))
@@ -196,9 +200,10 @@ def _fit_holds(
     every = pool(parts)
     if setpoints:  # before a fit that fails by it
         asked, shown = np.concatenate(setpoints), np.concatenate(currents)
-        require_linear_at_low_current(
+        bent = scale.value * deviation_at_low_current(
             current_setpoint=asked,
             current=shown,
+            sample_time=recipe.rig.sample_time * recipe.stribeck.record_every,
             friction_current=float(np.mean(np.abs(every.torque))) / scale.value,
         )
         if all(name in kt.results for name in AMPLIFIER):
@@ -210,7 +215,7 @@ def _fit_holds(
                 deviation=linearity.value,
                 allowed=2 * (scale.constant.u or 0.0) / scale.value,
             )
-    return fit_holds(parts, encoder_shaking(recipe, every.speed))
+    return *fit_holds(parts, encoder_shaking(recipe, every.speed)), bent
 
 
 def fit_holds(

@@ -10,9 +10,9 @@ from types import MappingProxyType
 import numpy as np
 
 from rigtool.experiments.friction.breakaway import Breakaway, TorqueRamp
+from rigtool.experiments.friction.direction_fit import DIRECTION_NAMES, DirectionFit
 from rigtool.experiments.friction.holds import Holds
 from rigtool.experiments.friction.offset import Offset
-from rigtool.experiments.friction.stribeck_fit import DIRECTION_NAMES, DirectionFit
 from rigtool.experiments.friction.sweep import TorqueSpeed
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import (
@@ -225,14 +225,20 @@ def add_radial_breakaway(
 
 
 def add_radial_friction(
-    unloaded: Holds, loaded: Holds, force: float, found: Findings, weights_u: float = 0.0
+    unloaded: Holds,
+    loaded: Holds,
+    force: float,
+    found: Findings,
+    weights_u: float = 0.0,
+    offset: Offset | None = None,
 ) -> None:
     """Add the increase of friction in motion by a radial force, N, at speeds held without, too.
 
-    `unloaded` turn evenly; of `loaded`, those that do not are left out. The mean over speeds and
-    directions; where contacts are soft, the shaft breaks away at less than the friction that it
-    then has, with and without the force: breakaway does not show it. `weights_u` is the relative
-    standard uncertainty of the force.
+    `unloaded` turn evenly; of `loaded`, those that do not are left out. The mean over both
+    directions, or one direction's over 1 +- the asymmetry, which `offset` holds. Where contacts are
+    soft, the shaft breaks away at less than the friction that it then has, with and without the
+    force: breakaway does not show it. `weights_u` is the relative standard uncertainty of the
+    force.
     """
     loaded = loaded[loaded.steady]
     nearest = np.argmin(np.abs(unloaded.speed - loaded.speed[:, None]), axis=1)
@@ -241,13 +247,30 @@ def add_radial_friction(
         found.notes.append("no speed was held with and without radial force: nothing to compare")
         return
     before, after = unloaded[nearest[same]], loaded[same]
-    value = float(np.mean(np.sign(after.speed) * (after.torque - before.torque)))
-    lines = [error_line("hung weights", value * weights_u, "N m")]
+    sign = np.sign(after.speed)
+    directions, index, count = np.unique(sign, return_inverse=True, return_counts=True)
+    share = 1 / (len(directions) * count[index])
+    asymmetry, asymmetry_u = (0.0, 0.0) if offset is None else offset.asymmetry
+    if len(directions) == 1:
+        share /= 1 + directions[0] * asymmetry
+        if offset is None:
+            found.notes.append(
+                f"radial_load_friction is that of the {DIRECTION_NAMES[int(directions[0])]} "
+                "direction alone: hold more speeds in both"
+            )
+    else:
+        asymmetry_u = 0.0
+    value = float(share @ (sign * (after.torque - before.torque)))
+    lines = [
+        error_line("hung weights", value * weights_u, "N m"),
+        error_line("asymmetry", value * asymmetry_u, "N m"),
+    ]
     for name, holds in ((SCATTER_LINE, before), ("scatter with the force", after)):
-        share = 1 / len(after.speed)
         parts = [
-            error_line(name, u * share, "N m", dof)
-            for u, dof in zip(holds.u.tolist(), holds.dof.tolist(), strict=True)
+            error_line(name, u * part, "N m", dof)
+            for u, part, dof in zip(
+                holds.u.tolist(), share.tolist(), holds.dof.tolist(), strict=True
+            )
         ]
         mean = combined(0.0, "N m", parts)
         lines.append(error_line(name, mean.u or 0.0, "N m", mean.dof))

@@ -13,11 +13,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.friction.direction_fit import DIRECTION_NAMES, DirectionFit, curve
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_signals
 from rigtool.numerics.minimum import minimum
@@ -48,69 +49,13 @@ EXPONENT_LEADS = {2.0: 0.0, 1.0: 6.0}
 """Exponents d to try, each with the lead in the Akaike criterion that it needs: the Gaussian, and
 Tustin's, which extrapolates further towards standstill and so must be clearly better."""
 
-FEW_SPEEDS = 6
+FEW_SPEEDS = 8
 """Number of speeds below which residuals hardly show their variance: models are weighed by the
-uncertainties of the points. Three points and a curve of four parameters leave no residuals."""
+uncertainties of the points. A curve of four parameters leaves seven points three residuals, and
+the correction of the criterion, 60, would reject one that fits to a fiftieth of the line's."""
 
 FALLING = 4.0
 """Multiple of its uncertainty by which a line may fall with the speed."""
-
-DIRECTION_NAMES = {1: "positive", -1: "negative"}
-
-
-@dataclass(frozen=True)
-class DirectionFit:
-    """Friction in one direction; torques in N m against the motion, speeds in rad/s.
-
-    `covariance` belongs to `parameters`, (fc, fv) or (fc, fv, fs, vs), of the chosen model;
-    `averaged` are fc and fv as stated, of a line in the mean over the models. The fit covers speeds
-    from `lowest` to `highest`; `structure` is the rms of its residuals far beyond scatter, largest
-    at `worst_speed`; `friction` is the mean of the points; `criterion` is Akaike's, by which the
-    model was chosen, with the lead that its shape needs.
-    """
-
-    parameters: Array
-    averaged: Array
-    covariance: Array
-    exponent: float | None
-    dof: int
-    lowest: float
-    highest: float
-    structure: float
-    worst_speed: float
-    friction: float
-    criterion: float = math.nan
-
-    @property
-    def coulomb(self) -> tuple[float, float]:
-        """The value of fc and its standard uncertainty."""
-        return float(self.averaged[0]), math.sqrt(float(self.covariance[0, 0]))
-
-    @property
-    def viscous(self) -> tuple[float, float]:
-        """The value of fv, N m s/rad, and its standard uncertainty."""
-        return float(self.averaged[1]), math.sqrt(float(self.covariance[1, 1]))
-
-    def level(self, speed: Array) -> Array:
-        """Return f without its viscous part at speeds >= 0."""
-        return self.evaluate(speed) - self.parameters[1] * speed
-
-    @property
-    def static(self) -> tuple[float, float] | None:
-        """The value of fs and its standard uncertainty, None for the linear model."""
-        return None if self.exponent is None else self._parameter(2)
-
-    @property
-    def stribeck_velocity(self) -> tuple[float, float] | None:
-        """The value of vs and its standard uncertainty, None for the linear model."""
-        return None if self.exponent is None else self._parameter(3)
-
-    def evaluate(self, speed: Array) -> Array:
-        """Return f at speeds >= 0."""
-        return _model(self.parameters, speed, self.exponent)
-
-    def _parameter(self, index: int) -> tuple[float, float]:
-        return float(self.parameters[index]), math.sqrt(float(self.covariance[index, index]))
 
 
 def fit_directions(speed: Array, torque: Array, u: Array) -> dict[int, DirectionFit]:
@@ -154,7 +99,7 @@ def fit_direction(
 
     `speed` (n,) > 0 in rad/s, `torque` (n,) against the motion with standard uncertainty `u`, N m;
     `shapes` are the exponents to try.
-    The Stribeck model is chosen only where the corrected Akaike criterion (Hurvich and Tsai 1989)
+    The Stribeck model is chosen only where the Akaike criterion (corrected: Hurvich and Tsai 1989)
     prefers it and all its parameters are determined; else the line is fitted, without the lowest
     speeds where they lie off it. Raises `InsufficientDataError` where
     there are too few speeds.
@@ -184,9 +129,9 @@ def fit_direction(
     if best.exponent is None:
         best = _straight_part(v, f, weight)
         _require_no_fall(best)
-    averaged, spread = _averaged(best, curves, v, f, weight)
+    averaged, own = _averaged(best, curves, v, f, weight)
     covariance = best.covariance.copy()
-    covariance[:2, :2] += spread
+    covariance[:2, :2] = own
     return replace(best, averaged=averaged, covariance=covariance, criterion=lowest + needed)
 
 
@@ -212,7 +157,7 @@ def _averaged(
     f: Array,
     weight: Array,
 ) -> tuple[Array, Array]:
-    """Return fc and fv (2,), and the mean square by which those of other models differ (2, 2).
+    """Return fc and fv (2,) and their covariance (2, 2), that of each model and between them.
 
     They are those of a chosen Stribeck curve; where the line is chosen, the mean over all models: a
     line through an unresolved Stribeck effect has less slope than the friction, never more.
@@ -228,31 +173,36 @@ def _averaged(
     few = len(v) < FEW_SPEEDS
     of_line = (f - line.evaluate(v)) * weight * ~left_out
     criteria = [_akaike(of_line, 2 + int(left_out.sum()), known=few)]
-    parameters, prior = [line.parameters[:2]], [0.5]
+    parameters, covariances, prior = [line.parameters[:2]], [line.covariance[:2, :2]], [0.5]
 
-    def add(found: Array, criterion: float, share: float) -> None:
+    def add(found: Array, covariance: Array, criterion: float, share: float) -> None:
         parameters.append(found[:2])
+        covariances.append(covariance[:2, :2])
         criteria.append(criterion)
         prior.append(0.5 / len(curves) * share)
 
     velocities = np.geomspace(v.min() / 3, v.max() / 3, OTHER_VELOCITIES)
-    for exponent, curve in curves.items():
-        if curve is not None:
-            rest = (f - curve.evaluate(v)) * weight
-            add(curve.parameters, _akaike(rest, 4, known=few), 1.0)
+    for exponent, resolved in curves.items():
+        if resolved is not None:
+            rest = (f - resolved.evaluate(v)) * weight
+            add(resolved.parameters, resolved.covariance, _akaike(rest, 4, known=few), 1.0)
             continue
         for vs in velocities:
             design = _columns(v, vs, exponent)
-            found = np.asarray(np.linalg.lstsq(design * weight[:, None], f * weight, rcond=None)[0])
+            inverse = np.linalg.pinv(design * weight[:, None])
+            found = inverse @ (f * weight)
             if found[2] >= found[0]:
                 rest = (f - design @ found) * weight
-                add(found, _akaike(rest, 3, known=few), 1 / len(velocities))
+                scale = max(1.0, float(rest @ rest) / max(len(v) - 3, 1))
+                criterion = _akaike(rest, 3, known=few)
+                add(found, inverse @ inverse.T * scale, criterion, 1 / len(velocities))
     probable = np.array(prior) * np.exp((min(criteria) - np.array(criteria)) / 2)
     probable /= probable.sum()
     line_chosen = chosen.exponent is None
     stated = probable @ np.array(parameters) if line_chosen else chosen.parameters[:2]
     apart = np.array(parameters) - stated
-    return stated, np.einsum("k,ki,kj->ij", probable, apart, apart)
+    between = np.einsum("k,ki,kj->ij", probable, apart, apart)
+    return stated, np.einsum("k,kij->ij", probable, np.array(covariances)) + between
 
 
 def mean_by_speed(v: Array, f: Array, u: Array) -> tuple[Array, Array, Array]:
@@ -268,14 +218,6 @@ def mean_by_speed(v: Array, f: Array, u: Array) -> tuple[Array, Array, Array]:
     return np.bincount(group, weights=weight * v) / total, mean, np.sqrt(scale / total)
 
 
-def _model(parameters: Array, speed: Array, exponent: float | None) -> Array:
-    f: Array = parameters[0] + parameters[1] * speed
-    if exponent is not None:
-        bump = np.exp(-((speed / parameters[3]) ** exponent))
-        f = f + (parameters[2] - parameters[0]) * bump
-    return f
-
-
 def _finish(
     parameters: Array,
     design: Array,
@@ -286,7 +228,7 @@ def _finish(
 ) -> DirectionFit:
     """Return a fit with covariance from its Jacobian `design` (n, p)."""
     inverse = np.linalg.pinv(design * weight[:, None])
-    residual = f - _model(parameters, v, exponent)
+    residual = f - curve(parameters, v, exponent)
     dof = len(v) - len(parameters)
     square = float(np.sum((residual * weight) ** 2))
     # Scatter counts where it exceeds the uncertainties of the means (Birge ratio).
@@ -373,7 +315,8 @@ def _akaike(residual: Array, parameters: int, *, known: bool) -> float:
 
 
 def _criterion(fit: DirectionFit, v: Array, f: Array, weight: Array) -> float:
-    return _corrected((f - fit.evaluate(v)) * weight, len(fit.parameters) + 1)
+    residual = (f - fit.evaluate(v)) * weight
+    return _akaike(residual, len(fit.parameters), known=len(v) < FEW_SPEEDS)
 
 
 def _corrected(residual: Array, parameters: int) -> float:
@@ -409,6 +352,7 @@ def require_explained(fits: Sequence[DirectionFit]) -> None:
             f"the best friction model, far beyond the scatter of its points; limit "
             f"{limit * 1e3:.3g} mN m ({100 * STRUCTURE_LIMIT:.0f} % of the friction); worst at "
             f"{worst.worst_speed:.3g} rad/s. No friction model explains that: suspect noise "
-            "that is slower than a hold (raise stribeck.hold_time), the current amplifier at low "
+            "that is slower than a hold (raise stribeck.hold_time), a Stribeck effect that too few "
+            "speeds show (hold 8 or more, some of them above it), the current amplifier at low "
             "current, or a resonance of the speed loop"
         )

@@ -118,8 +118,9 @@ def fit_plant(found: FrequencyResponse, sample_time: float, nominal_inertia: flo
             f"(lowest {found.coherence.min():.2g} at "
             f"{found.frequency[np.argmin(found.coherence)]:.4g} Hz), half of them and at least "
             f"{MIN_LINES} are needed: the excitation is lost in disturbances and in the steps of "
-            "the encoder; raise identify_plant.speeds, swing or periods, or correct [rig.inertia], "
-            "by which it is scaled"
+            "the encoder; raise identify_plant.speeds (stroke_speeds with the instrument), swing "
+            "or periods, take a stiffer [rig.controller], which keeps the shaft moving, or correct "
+            "[rig.inertia], by which the excitation is scaled"
         )
     while True:
         fit = _of_lines(found, used, sample_time, nominal_inertia)

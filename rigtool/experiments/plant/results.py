@@ -288,7 +288,8 @@ def _swing_note(swing: float) -> str:
     if swing < 1:
         return (
             f"the shaft never stopped (its speed swung by up to {100 * swing:.3g} %), so Coulomb "
-            "friction is a constant"
+            "friction is a constant; where friction falls with the speed as far down as it swung "
+            "(stribeck shows this), viscous_friction is lower"
         )
     return (
         f"the shaft stopped (its speed swung by up to {100 * swing:.3g} %): viscous_friction "

@@ -107,11 +107,13 @@ NO_ATTENUATION = Sampling(0.0)
 class Ripple:
     """Ripple of one running condition: `waveforms` (revolutions, positions), offset removed.
 
-    `sampling` is that of the samples in the waveforms.
+    `sampling` is that of the samples in the waveforms; `elapsed` (positions + 1,) when the rotor
+    passes the edges of the cells, from 0 to 1 of the time of a turn, None at constant speed.
     """
 
     waveforms: Array
     sampling: Sampling = NO_ATTENUATION
+    elapsed: Array | None = None
 
     @property
     def angle(self) -> Array:
@@ -155,9 +157,11 @@ class Ripple:
         return Rms(repeatable, repeatable_u, scatter, scatter_u, others)
 
 
-def remove_offset(waveforms: Array, sampling: Sampling = NO_ATTENUATION) -> Ripple:
+def remove_offset(
+    waveforms: Array, sampling: Sampling = NO_ATTENUATION, elapsed: Array | None = None
+) -> Ripple:
     """Subtract the mean of waveforms (revolutions, positions): friction and load, not ripple."""
-    return Ripple(waveforms - waveforms.mean(), sampling)
+    return Ripple(waveforms - waveforms.mean(), sampling, elapsed)
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,6 +40,7 @@ from rigtool.experiments.ripple.results import (
     loop_note,
     revolutions_table,
     ripple_results,
+    varying_note,
 )
 from rigtool.experiments.ripple.revolutions import Revolutions
 from rigtool.experiments.ripple.winding_heat import Lowered, TurnCurrents, winding_heat
@@ -164,7 +165,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     ]
     constants, per_amperes, heat_note = _constants(kt, recorded, found)
     ripples = [
-        remove_offset(own.waveforms * per_ampere, own.sampling)
+        remove_offset(own.waveforms * per_ampere, own.sampling, own.elapsed)
         for own, per_ampere in zip(found, per_amperes, strict=True)
     ]
     by_speed, by_torque = ripples[: len(speeds)], ripples[len(speeds) :][: len(torques)]
@@ -189,6 +190,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
         heat_note,
         loop_note(recipe, speeds[-1].condition("speed") / (2 * math.pi)),
         *_shaking_note(recorded, recipe),
+        *varying_note(recorded, ripples),
         *_resolution_notes(speeds, by_speed, "speed", "rad/s"),
         *_resolution_notes(torques, by_torque, "torque", "N m"),
         *unsampled_note(runs, constants[0].value),
@@ -230,6 +232,7 @@ class _Collected:
     """Steady revolutions of a recording: `waveforms` (revolutions, positions), A."""
 
     waveforms: Array
+    elapsed: Array
     forward: bool
     sampling: Sampling
     passed: Array
@@ -259,7 +262,8 @@ def _collected(
         settings = recipe.fft_ripple
         sampling = Sampling(revolutions.step, settings.record_every)
         waveforms = revolutions.waveforms(settings.revolutions)
-    return _Collected(waveforms, last > first, sampling, *revolutions.turns())
+        elapsed = revolutions.elapsed(settings.revolutions)
+    return _Collected(waveforms, elapsed, last > first, sampling, *revolutions.turns())
 
 
 def _constants(

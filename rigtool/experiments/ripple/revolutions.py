@@ -112,6 +112,18 @@ class Revolutions:
             means: Array = np.diff(integral) / np.diff(passed)
         return means
 
+    def elapsed(self, revolutions: int) -> Array:
+        """Return when the rotor passes the edges of the cells, (positions + 1,), from 0 to 1 of the
+        time of a turn: the mean of the last `revolutions` whole turns."""
+        passed = np.concatenate(self._passed)
+        last = (passed.size - 1) // self._positions * self._positions
+        turns = passed[last - revolutions * self._positions :][: revolutions * self._positions + 1]
+        edges = np.arange(self._positions + 1)
+        each = turns[edges + self._positions * np.arange(revolutions)[:, None]]
+        mean: Array = each.mean(axis=0)
+        part = (mean - mean[0]) / (mean[-1] - mean[0])
+        return part if self._forward else 1 - part[::-1]
+
     def waveforms(self, revolutions: int) -> Array:
         """Return the mean torque by revolution and cell, of the last `revolutions` whole turns.
 

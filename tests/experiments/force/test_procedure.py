@@ -228,6 +228,9 @@ def test_a_zero_reading_takes_off_what_remains_without_load(tmp_path, inputs):
     scatter = loads["std_torque"] / np.sqrt(loads["effective_cycles"])
     expected = np.sqrt(scatter[1:] ** 2 + scatter[0] ** 2 + (1e-3 * loads["mean_torque"][1:]) ** 2)
     np.testing.assert_allclose(loads["mean_torque_u"][1:], expected, rtol=1e-6, atol=0)
+    parts = scatter**4 / (loads["effective_cycles"] - 1)
+    dof = expected**4 / (parts[1:] + parts[0])  # Welch and Satterthwaite; the constant is known
+    np.testing.assert_allclose(loads["mean_torque_dof"][1:], dof, rtol=1e-6, atol=0)
 
 
 def test_tables_for_the_figures(tmp_path, inputs):

@@ -138,8 +138,9 @@ def test_the_uncertainty_of_a_row_is_that_of_its_equation(sets, zero):
         error = np.sqrt(np.sum([(a - b) ** 2 for a, b in changes.values()]))
         assert row.error.value == pytest.approx(row.mean.value - applied(), abs=1e-12)
         assert row.error.u == pytest.approx(error, rel=1e-4)
-        # Welch and Satterthwaite: scatter and staircase alone have degrees of freedom
+        # Welch and Satterthwaite: scatter, of the zero reading too, and staircase have degrees
         spread = changes["scatter"][0] ** 4 / found.dof + changes["constant"][0] ** 4 / 20
+        spread += unloaded.u**4 / unloaded.dof if zero and number else 0.0
         assert row.mean.dof == pytest.approx(row.mean.u**4 / spread, rel=1e-3)
         assert row.std_torque == pytest.approx(np.std(load.values, ddof=1))
         count = load.values.size

@@ -32,8 +32,8 @@ from rigtool.experiments.friction.holds import (
     pool,
 )
 from rigtool.experiments.friction.low_current import (
+    deviation_at_low_current,
     require_calibrated_gain,
-    require_linear_at_low_current,
 )
 from rigtool.experiments.friction.procedure_analysis import (
     _fit_sweep,
@@ -518,15 +518,17 @@ def test_deviations_beyond_noise_are_a_25th_of_the_current_that_friction_takes(n
     rms = math.sqrt((size * off @ off - by_noise) / (bins * size))
     # few samples at one higher set point, which is no part of the range
     signals = {
-        "current_setpoint": np.append(level, np.full(10, 0.07)),
-        "current": np.append(current, np.full(10, 9.0)),
+        "current_setpoint": np.append(level, np.full(9, 0.07)),
+        "current": np.append(current, np.full(9, 9.0)),
+        "sample_time": 0.02,
     }
     friction = rms / 0.04 * (1.001 if passes else 0.999)
     if passes:
-        require_linear_at_low_current(**signals, friction_current=friction)
+        found = deviation_at_low_current(**signals, friction_current=friction)
+        assert found == pytest.approx(rms, rel=1e-6)
         return
     with pytest.raises(InsufficientDataError, match="not linear at low current"):
-        require_linear_at_low_current(**signals, friction_current=friction)
+        deviation_at_low_current(**signals, friction_current=friction)
 
 
 def test_a_profile_changes_speed_at_one_rate_and_holds_whole_turns():

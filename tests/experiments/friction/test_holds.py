@@ -82,16 +82,19 @@ def test_the_warm_up_is_what_makes_the_mean_of_the_rest_most_certain(seed):
     assert 15 <= found <= 60
 
 
-@pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_ripple_that_varies_the_speed_does_no_work_over_a_turn(direction):
-    """A shaft with speed w0 (1 + a cos(angle)) under M = f + b cos(angle): over the angle the mean
-    of M is f; over time it is f - a b/2 to second order. A shaft that is not read shows nothing."""
+@pytest.mark.parametrize(("direction", "order"), [(1.0, 1), (-1.0, 1), (1.0, 24)])
+def test_ripple_that_varies_the_speed_does_no_work_over_a_turn(direction, order):
+    """A shaft with speed w0 (1 + a cos(k angle)) under M = f + b cos(k angle): over the angle the
+    mean of M is f; over time it is f - a b/2 to second order. A shaft that is not read shows
+    nothing."""
     friction, part, ripple, turns = 4e-3, 0.05, 3e-3, 5
     angle = np.linspace(0, 2 * np.pi * turns, 40001)
-    time = np.concatenate([[0], np.cumsum(np.diff(angle) / (1 + part * np.cos(angle[1:] - 4e-4)))])
+    time = np.concatenate(
+        [[0], np.cumsum(np.diff(angle) / (1 + part * np.cos(order * (angle[1:] - 4e-4))))]
+    )
     even = np.linspace(0, time[-1], 4000)
     turned = np.interp(even, time, angle)
-    torque = direction * friction + ripple * np.cos(turned)
+    torque = direction * friction + ripple * np.cos(order * turned)
     wanted = direction * even * angle[-1] / time[-1]
     signals = {"time": even, "torque": torque, "setpoint": wanted, "inertia": 1e-5}
     found = find_holds(angle=direction * turned, **signals)
@@ -99,7 +102,7 @@ def test_ripple_that_varies_the_speed_does_no_work_over_a_turn(direction):
     assert torque.mean() - direction * friction == pytest.approx(-part * ripple / 2, rel=0.02)
     assert found.lagging[0] < 0.02 * part * ripple / 2
     unread = find_holds(angle=0 * turned, **signals)
-    assert unread.torque[0] == pytest.approx(torque.mean(), rel=1e-9)
+    assert unread.torque[0] == pytest.approx(torque.mean(), rel=1e-6)
 
 
 def test_ripple_in_quadrature_with_the_speed_counts_as_uncertainty():

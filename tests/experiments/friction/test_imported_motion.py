@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import binned_statistic
 
 from rigtool.experiments.friction import imported_motion
+from rigtool.experiments.friction.direction_fit import DIRECTION_NAMES
 from rigtool.experiments.friction.imported_motion import (
     NOTED_POWER,
     TABLE_RANGES,
@@ -15,7 +16,6 @@ from rigtool.experiments.friction.imported_motion import (
 )
 from rigtool.experiments.friction.offset import ASYMMETRY_U_LIMIT
 from rigtool.experiments.friction.results import SAME_COULOMB, Findings, Scale
-from rigtool.experiments.friction.stribeck_fit import DIRECTION_NAMES
 from rigtool.quantity import Quantity
 
 

@@ -361,3 +361,16 @@ def test_a_note_states_why_holds_are_left_out():
     slow = every[np.abs(speed) < 1.5]
     with pytest.raises(InsufficientDataError, match=r"starts and stops.*encoder's steps.*separate"):
         fit_holds([slow], 0.09 / np.abs(slow.speed))
+
+
+def test_an_amplifier_that_is_a_little_off_is_in_the_uncertainty(folder, kt, measured):
+    """6 mA, a tenth of what friction takes: less than is refused."""
+    bent = ("virtual.amplifier.distortion=0.006", "virtual.amplifier.distortion_period=0.1")
+    outcome = run(STRIBECK, RECIPE, folder / "bent.h5", *SHORT, *bent, kt=kt)
+    for name, true in (("coulomb_friction", 2.3e-3), ("viscous_friction", 5.33e-5)):
+        found = outcome.results[name]
+        lines = {line.name: line.contribution for line in found.budget}
+        assert lines["amplifier at low current"] > 0.01 * true
+        assert abs(found.value - true) < 3 * found.u
+        sound = {line.name: line.contribution for line in measured[1].results[name].budget}
+        assert sound.get("amplifier at low current", 0.0) < lines["amplifier at low current"] / 3

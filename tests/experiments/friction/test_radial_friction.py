@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from rigtool.experiments.friction.holds import Holds
+from rigtool.experiments.friction.offset import Offset
 from rigtool.experiments.friction.results import Findings, Scale, add_radial_friction
 from rigtool.quantity import Quantity
 
@@ -63,3 +64,23 @@ def test_holds_without_scatter_or_speed_divide_nothing():
     add_radial_friction(before, holds([1, 0], [2e-3, 0], 0.0, 4.0), 20.0, found)
     result = found.results["radial_load_friction"]
     assert (result.value, result.u) == (pytest.approx(1e-3), 0.0)
+
+
+@pytest.mark.parametrize("held", [[1, 2, -1], [1, 2], [-1]])
+@pytest.mark.parametrize("separated", [True, False])
+def test_friction_that_differs_between_directions_is_taken_off(held, separated):
+    """A fifth more forwards and a fifth less backwards, whatever is held."""
+    found = Findings(Scale(Quantity(0.05, "N m/A", 0.0)))
+    speed = np.array([1.0, 2.0, -1.0, -2.0])
+    apart = 1 + 0.2 * np.sign(speed)
+    before = holds(speed, np.sign(speed) * 2e-3 * apart, 1e-6, 9)
+    here = np.isin(speed, held)
+    after = holds(speed[here], (np.sign(speed) * 3e-3 * apart)[here], 1e-6, 9)
+    offset = Offset((0.0, 1e-6), (0.2, 0.05), True) if separated else None
+    add_radial_friction(before, after, 20.0, found, offset=offset)
+    result, one = found.results["radial_load_friction"], len(np.unique(np.sign(held))) == 1
+    if separated or not one:
+        assert result.value == pytest.approx(1e-3, rel=1e-9)
+        assert (result.u > 0.04e-3) == one
+    else:
+        assert "direction alone" in found.notes[-1]

@@ -8,6 +8,7 @@ import pytest
 from scipy.stats import sem, ttest_1samp
 
 from rigtool.experiments.friction.breakaway import Breakaway, TorqueRamp
+from rigtool.experiments.friction.direction_fit import DirectionFit
 from rigtool.experiments.friction.holds import Holds
 from rigtool.experiments.friction.offset import Offset
 from rigtool.experiments.friction.results import (
@@ -26,7 +27,6 @@ from rigtool.experiments.friction.results import (
     ramp_table,
     torque_speed_table,
 )
-from rigtool.experiments.friction.stribeck_fit import DirectionFit
 from rigtool.experiments.friction.sweep import TorqueSpeed
 from rigtool.quantity import combined, error_line
 

@@ -19,6 +19,7 @@ from rigtool.experiments.friction.stribeck_fit import (
     _straight_part,
     _stribeck,
     fit_direction,
+    fit_directions,
     mean_by_speed,
 )
 
@@ -131,27 +132,30 @@ def test_the_stated_line_is_the_mean_over_models_by_their_akaike_weights(static)
     u = np.full(9, 4e-5)
     f = stribeck(v, static, 0.5, 2.0) + u * rng.standard_normal(9)
     chosen, curves = _line(v, f, 1 / u), {2.0: None, 1.0: None}
-    found, spread = _averaged(chosen, curves, v, f, 1 / u)
+    found, covariance = _averaged(chosen, curves, v, f, 1 / u)
 
     line = _straight_part(v, f, 1 / u)
     out = v < line.lowest
     residual = np.where(out, 0.0, (f - line.evaluate(v)) / u)
-    models = [(line.parameters, _corrected(residual, 3 + out.sum()), 0.5)]
+    models = [(line.parameters, _corrected(residual, 3 + out.sum()), 0.5, line.covariance)]
     for d in (2.0, 1.0):
         for vs in np.geomspace(v.min() / 3, v.max() / 3, OTHER_VELOCITIES):
             bump = np.exp(-((v / vs) ** d))
             design = np.column_stack([1 - bump, v, bump]) / u[:, None]
             p = np.linalg.lstsq(design, f / u, rcond=None)[0]
             if p[2] >= p[0]:
-                models.append((p[:2], _corrected(f / u - design @ p, 4), 0.25 / OTHER_VELOCITIES))
+                rest = f / u - design @ p
+                own = np.linalg.inv(design.T @ design)[:2, :2] * max(1.0, rest @ rest / 6)
+                models.append((p[:2], _corrected(rest, 4), 0.25 / OTHER_VELOCITIES, own))
     best = min(model[1] for model in models)
-    weights = np.array([share * math.exp((best - one) / 2) for _, one, share in models])
+    weights = np.array([share * math.exp((best - one) / 2) for _, one, share, _ in models])
     weights /= weights.sum()
-    lines = np.array([p for p, _, _ in models])
+    lines = np.array([p for p, *_ in models])
     expected = weights @ lines
     assert_allclose(found, expected, rtol=1e-9)
     apart = lines - expected
-    assert_allclose(spread, (apart * weights[:, None]).T @ apart, rtol=1e-9)
+    within = sum(w * own for w, (*_, own) in zip(weights, models, strict=True))
+    assert_allclose(covariance, within + (apart * weights[:, None]).T @ apart, rtol=1e-6)
     assert 0.05 < weights[0] < (0.95 if static > 2.3e-3 else 1.0)
 
 
@@ -162,7 +166,7 @@ def test_a_chosen_curve_states_its_own_line_and_the_others_as_uncertainty():
     f = stribeck(v, 4e-3, 0.8, 2.0) + u * rng.standard_normal(20)
     curves = {d: _stribeck(v, f, 1 / u, d) for d in (2.0, 1.0)}
     assert all(curves.values())
-    found, spread = _averaged(curves[2.0], curves, v, f, 1 / u)
+    found, covariance = _averaged(curves[2.0], curves, v, f, 1 / u)
     assert_allclose(found, curves[2.0].parameters[:2], rtol=1e-12)
     line = _straight_part(v, f, 1 / u)
     out = int(np.sum(v < line.lowest))
@@ -173,7 +177,10 @@ def test_a_chosen_curve_states_its_own_line_and_the_others_as_uncertainty():
     weights /= weights.sum()
     lines = np.array([line.parameters[:2], *(c.parameters[:2] for c in curves.values())])
     apart = lines - found
-    assert_allclose(spread, (apart * weights[:, None]).T @ apart, rtol=1e-9, atol=1e-30)
+    within = sum(
+        w * fit.covariance[:2, :2] for w, fit in zip(weights, [line, *curves.values()], strict=True)
+    )
+    assert_allclose(covariance, within + (apart * weights[:, None]).T @ apart, rtol=1e-9)
 
 
 def test_the_fit_states_the_line_and_the_uncertainty_of_both():
@@ -184,12 +191,9 @@ def test_the_fit_states_the_line_and_the_uncertainty_of_both():
     weight = 1 / np.sqrt((stated**2 + np.median(stated) ** 2) / 2)
     fit = fit_direction(v, f, stated)
     assert fit.exponent is None
-    line, (mean, spread) = (
-        _straight_part(v, f, weight),
-        _averaged(_line(v, f, weight), {2.0: None, 1.0: None}, v, f, weight),
-    )
+    mean, covariance = _averaged(_line(v, f, weight), {2.0: None, 1.0: None}, v, f, weight)
     assert_allclose(fit.averaged, mean, rtol=1e-6)
-    assert_allclose(fit.covariance, line.covariance + spread, rtol=1e-6)
+    assert_allclose(fit.covariance, covariance, rtol=1e-6)
     assert fit.criterion == pytest.approx(_criterion(_line(v, f, weight), v, f, weight), rel=1e-9)
 
 
@@ -254,3 +258,17 @@ def test_a_velocity_at_an_edge_of_those_that_speeds_can_show_is_none(velocity, f
     v = np.geomspace(0.4, 30, 40)
     u = np.full(40, 1e-9)
     assert (_stribeck(v, stribeck(v, 1.0, velocity, 2.0), 1 / u, 2.0) is not None) == found
+
+
+@pytest.mark.parametrize("count", [6, 7, 9])
+def test_a_clear_curve_through_few_speeds_is_not_mistaken_for_structure(count):
+    """Three speeds within the Stribeck effect, the others far above it."""
+    v = np.array([0.8, 1.0, 1.15, 6.0, 16.0, 45.0, 7.0, 20.0, 30.0])[:count]
+    u = np.full(count, 0.005)
+    away = 0.5 * u * np.resize([1, -1, 1], count)
+    f = 0.6 + 0.4 * np.exp(-((v / 1.3) ** 2)) + 5.8e-3 * v + away
+    for fit in fit_directions(np.r_[v, -v], np.r_[f, -f], np.r_[u, u]).values():
+        assert fit.exponent == 2.0
+        assert fit.coulomb[0] == pytest.approx(0.6, abs=3 * fit.coulomb[1])
+        assert fit.viscous[0] == pytest.approx(5.8e-3, abs=3 * fit.viscous[1])
+        assert fit.static[0] == pytest.approx(1.0, abs=3 * fit.static[1])

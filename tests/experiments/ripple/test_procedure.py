@@ -52,6 +52,7 @@ def test_the_second_order_is_strongest_slowly_and_the_first_fast(measured):
     assert results["strongest_order_lowest_speed"].value == 2
     assert results["strongest_order_highest_speed"].value == 1
     assert results["repeatable_rms"].value > 3 * results["non_repeatable_rms"].value
+    assert not any("varies the speed" in note for note in measured[1].notes)
 
 
 def test_the_spectrum_states_u_and_its_degrees_of_freedom(measured):
@@ -284,3 +285,25 @@ def test_recordings_hold_their_turns_at_constant_speed():
         run_up = given["speed"] / fft_ripple.ACCELERATION
         assert begin == pytest.approx(run_up + fft_ripple.SETTLE_TIME)
         assert 21 < (end - begin) * given["speed"] / (2 * math.pi) < 21.5
+
+
+def test_a_soft_loop_makes_no_orders_of_strong_ripple(folder, kt):
+    """Cogging of orders 9 and 13 varies the speed: orders 4 and 22 of the controller's torque."""
+    cogging = "{ order = 9, amplitude = 1.2e-3 }, { order = 13, amplitude = 1e-3 }"
+    outcome = run(
+        FFT_RIPPLE,
+        RECIPE,
+        folder / "soft.h5",
+        *SHORT,
+        *QUIET,
+        f"virtual.motor.cogging=[{cogging}]",
+        "rig.controller.crossover_hz=20",
+        "fft_ripple.speeds=[6]",
+        "fft_ripple.torques=[]",
+        "fft_ripple.power_cycles=0",
+        kt=kt,
+    )
+    found = outcome.tables["speed_spectrum"]["amplitude"][0]
+    assert found[[8, 12]] == pytest.approx([1.2e-3, 1e-3], rel=0.02, abs=0)
+    assert np.delete(found[:22], [8, 12]).max() < 0.01e-3
+    assert any("speed_000: ripple varies the speed by" in note for note in outcome.notes)

@@ -85,3 +85,16 @@ def test_what_it_cannot_use_is_refused():
         collected(time[:3], np.array([0.0, 0.5, 2.1]), torque[:3], True)
     collected(time[:3], np.array([0.0, 0.5, 1.9]), torque[:3], True)
     assert collected(time[:1], turns[:1], torque[:1], True).step == 0
+
+
+@pytest.mark.parametrize("forward", [True, False])
+def test_when_edges_are_passed_is_the_mean_over_turns(forward):
+    time = np.arange(40001) * 1e-3
+    steady = time / 8
+    turns = steady + 0.02 * np.sin(2 * np.pi * steady)
+    found = collected(time, turns if forward else 5 - turns, np.ones_like(time), forward)
+    elapsed = found.elapsed(3)
+    edges = np.arange(CELLS + 1) / CELLS
+    place = edges if forward else 1 - edges[::-1]
+    passed = np.interp(place, turns, steady)
+    np.testing.assert_allclose(elapsed, passed if forward else 1 - passed[::-1], atol=1e-3)
