@@ -26,8 +26,6 @@ from rigtool.experiments.torque_constant.hypotheses import (
     TIME_CONSTANTS,
     Hypotheses,
     Weighed,
-    ways_of,
-    weighed,
 )
 from rigtool.experiments.torque_constant.mean_staircases import MeanStaircases
 from rigtool.experiments.torque_constant.staircase_model import Common
@@ -44,13 +42,8 @@ def loss_by_heat(hypotheses: Hypotheses) -> tuple[float, float]:
     """Return the relative loss of the constant within `HEATING_TIME`, over the square of the
     current, 1/A2, and its standard uncertainty by what the hypotheses leave open."""
     means = hypotheses.means
-    noisy = means.with_noise()
-    along = [
-        _along_a_path(means, hypotheses.weighed),
-        _along_a_path(noisy, weighed(noisy, ways_of(means.stairs))),
-    ]
-    losses, variances = np.transpose(along)
-    loss, spread = float(losses.mean()), math.sqrt(float(variances.mean() + losses.var()))
+    loss, variance = _along_a_path(means, hypotheses.weighed)
+    spread = math.sqrt(variance)
     stairs = means.stairs
     length = float(np.mean(stairs.end.max(axis=1) - stairs.begin.min(axis=1)))
     return loss, math.hypot(spread, loss * _untried(hypotheses.weighed.best, length))
@@ -58,7 +51,7 @@ def loss_by_heat(hypotheses: Hypotheses) -> tuple[float, float]:
 
 def _along_a_path(means: MeanStaircases, found: Weighed) -> tuple[float, float]:
     """Return mean and variance of the loss."""
-    probable = found.probable(means.plateaus * (LAW * means.friction(found.best)) ** 2)
+    probable = found.probable(means.plateaus * (LAW * means.contacts(found.best).level) ** 2)
     loss = found.slope[:, 2]
     mean = float(probable @ loss)
     return mean, float(probable @ (loss - mean) ** 2)

@@ -111,6 +111,10 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
     coarse = _joined([_search(means, way, 0) for way in ways])
     means.smooth(coarse.commons[int(np.argmin(coarse.square))])
     found = weighed(means, ways)
+    means.find_arm(found.best)
+    if means.arm is not None:
+        found = weighed(means, [(means.arm.lag, means.arm.lag)])
+        means.move_arm(found.best)
     probable = found.probable()
     mean = probable @ found.slope
     spread = np.sqrt(probable @ (found.slope - mean) ** 2)

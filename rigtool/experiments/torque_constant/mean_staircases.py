@@ -16,8 +16,13 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rigtool.experiments.torque_constant.arm_motion import Arm, Contacts, arm_of
 from rigtool.experiments.torque_constant.staircase_model import Common, Stairs, mean_of, winding
-from rigtool.experiments.torque_constant.swings import friction_state, paths, straight_path
+from rigtool.experiments.torque_constant.swings import (
+    friction_state,
+    paths,
+    straight_path,
+)
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.residual_covariance import independent_samples
 
@@ -37,6 +42,8 @@ class MeanStaircases:
 
     def __init__(self, stairs: Stairs, coefficient: float, trend: Array) -> None:
         self.stairs, self._coefficient = stairs, coefficient
+        self.arm: Arm | None = None
+        self._common: Common | None = None
         kind = stairs.courses.kind
         self._members = [kind == number for number in range(int(kind.max()) + 1)]
         self._share = np.array([np.mean(those) for those in self._members])
@@ -86,7 +93,10 @@ class MeanStaircases:
         lags: list[float | None] = [None]
         if len(axes) > 3:
             lags = list(np.exp(axes[3]).tolist())
-        ways = np.stack(self._ways(lags), axis=1)
+        if self.arm is not None:
+            lags, ways = [self.arm.lag], self._own_ways(transition, exponents)
+        else:
+            ways = np.stack(self._ways(lags), axis=1)
         columns = self._friction(ways, transition[:, None, None], exponents[:, None, None, None])
         shape = (len(tau), *columns[0].shape[:3])
         fits = [
@@ -160,13 +170,24 @@ class MeanStaircases:
 
     def smooth(self, common: Common) -> None:
         """Take off the courses what a hypothesis leaves of the mean torques, as noise; and off
-        their rates what its columns, and the ripple's i |i|, leave of these: noise and rounding."""
+        their rates what its columns, and the ripple's i |i|, leave of these: noise and rounding.
+        Where they show the arm, its swings are those of its motion."""
         noise = self.residual(common).reshape(self._weight.shape)
         courses = self.stairs.courses
         columns = self.columns(common)
         columns.append(columns[0] * np.abs(columns[0]))
         rest = [left_by(columns, rate) for rate in np.moveaxis(courses.torque_rate, 1, 0)]
         self.stairs = replace(self.stairs, courses=courses.less(noise, np.stack(rest, axis=1)))
+
+    def find_arm(self, common: Common) -> None:
+        """Find the arm in the mean courses, with the friction of a hypothesis."""
+        self.arm, self._common = arm_of(self.stairs.courses, self.contacts(common)), common
+
+    def move_arm(self, common: Common) -> None:
+        """Give the courses the swings of the arm, with the friction of a hypothesis."""
+        if self.arm is not None:
+            courses = self.arm.moved(self.stairs.courses, self.contacts(common))
+            self.stairs = replace(self.stairs, courses=courses)
 
     def columns(self, common: Common) -> list[Array]:
         """Return the columns of (1) on the mean staircases, current first, (g, p) each."""
@@ -182,13 +203,48 @@ class MeanStaircases:
         """Plateaus of a mean staircase."""
         return float(self._weight.sum()) / len(self._members)
 
-    def friction(self, common: Common) -> float:
-        """Return friction's largest torque under a hypothesis, N m; 0 where it has none."""
+    def contacts(self, common: Common) -> Contacts:
+        """Return friction under a hypothesis: its largest torque, 0 where it has none, and its
+        state on each plateau."""
         if common.transition is None:
-            return 0.0
-        q, r = np.linalg.qr(np.stack(self.columns(common), axis=2))
-        found = np.linalg.solve(r, np.swapaxes(q, 1, 2) @ self._torque[..., :1])
-        return float(self._share @ found[:, 4, 0])
+            return Contacts(0.0, np.zeros(self._weight.shape), 1.0, 1.0)
+        (way,) = self._ways([common.lag])
+        friction = self._friction(way, common.transition, common.exponent)
+        (level,), (state,) = self._levels(common.time_constant, *(each[None] for each in friction))
+        return Contacts(float(level), state, common.transition, common.exponent)
+
+    def _levels(self, time_constant: float, a: Array, b: Array) -> tuple[Array, Array]:
+        """Return friction's largest torque (n,) and state (n, g, p) for its columns (n, g, p)."""
+        current, lost = self.thermal(time_constant)
+        smooth = [current, self._weight, self._step, lost, current * np.abs(current)]
+        plain = np.broadcast_to(np.stack(smooth, axis=2), (*a.shape, len(smooth)))
+        q, r = np.linalg.qr(np.concatenate([plain, a[..., None], b[..., None]], axis=3))
+        found = np.linalg.solve(r, np.swapaxes(q, 2, 3) @ self._torque[..., :1])[..., 5:, 0]
+        level = found[..., 0] @ self._share
+        along = a * found[..., :1] + b * found[..., 1:]
+        state = np.clip(-along / np.maximum(level, 1e-300)[:, None, None], -1.0, 1.0)
+        return np.clip(level, 0.0, LARGEST_FRICTION * self._span), state
+
+    def _own_ways(self, transition: Array, exponents: Array) -> Array:
+        """Return the path of each transition (s,) and exponent (e,) of friction, (TURNS + 2, e, s,
+        1, g, p) N m: how far the arm swings depends on friction, too."""
+        assert self.arm is not None
+        assert self._common is not None
+        courses, lag = self.stairs.courses, self.arm.lag
+        (way,) = self._ways([lag])
+        a, b = self._friction(way, transition[:, None], exponents[:, None, None])
+        shape = a.shape
+        levels, states = self._levels(
+            self._common.time_constant, *(each.reshape(-1, *shape[2:]) for each in (a, b))
+        )
+        found = []
+        for level, state, (exponent, s) in zip(
+            levels, states, product(exponents, transition), strict=True
+        ):
+            moved = self.arm.moved(courses, Contacts(float(level), state, float(s), float(exponent)))
+            found.append(paths(moved, moved.torque, moved.course, [lag])[0])
+        ways = np.stack(found, axis=1)
+        return ways.reshape(len(ways), *shape[:2], 1, *shape[2:])
 
     def residual(self, common: Common) -> Array:
         """Return the residual of (1) with the ripple's i |i| on the mean staircases, (g p,) N m."""
