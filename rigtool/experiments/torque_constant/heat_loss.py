@@ -54,7 +54,7 @@ def _along_a_path(means: MeanStaircases, found: Weighed) -> tuple[float, float]:
     probable = found.probable(means.plateaus * (LAW * means.contacts(found.best).level) ** 2)
     loss = found.slope[:, 2]
     mean = float(probable @ loss)
-    return mean, float(probable @ (loss - mean) ** 2)
+    return mean, float(probable @ ((loss - mean) ** 2 + found.variance[:, 2]))
 
 
 def _untried(best: Common, length: float) -> float:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rigtool.experiments.torque_constant.arm_motion import Arm, Contacts, arm_of
+from rigtool.experiments.torque_constant.friction_cone import possible
 from rigtool.experiments.torque_constant.staircase_model import Common, Stairs, mean_of, winding
 from rigtool.experiments.torque_constant.swings import (
     friction_state,
@@ -86,9 +87,9 @@ class MeanStaircases:
         a, b = friction_state(way, transition, exponent)
         return -a * self._weight, -b * self._weight  # (..., g, p)
 
-    def try_all(self, axes: list[Array]) -> tuple[list[Common], Array, Array]:
-        """Return all hypotheses of a grid, their Q (n,) and slopes (n, 3): mean, trend, loss by
-        heat."""
+    def try_all(self, axes: list[Array]) -> tuple[list[Common], Array, Array, Array]:
+        """Return all hypotheses of a grid, their Q (n,), slopes (n, 3) and variances of these by
+        what is possible for friction: mean, trend, loss by heat."""
         transition, tau, exponents = (np.exp(axis) for axis in axes[:3])
         lags: list[float | None] = [None]
         if len(axes) > 3:
@@ -104,7 +105,7 @@ class MeanStaircases:
             for thermal in map(self.thermal, tau.tolist())
             for pair in zip(*columns, strict=True)
         ]
-        square, slope, free = (
+        square, slope, spread, free = (
             np.moveaxis(np.reshape(parts, (*shape, *parts[0].shape[1:])), 2, 0)
             for parts in zip(*fits, strict=True)
         )
@@ -114,59 +115,59 @@ class MeanStaircases:
                 product(transition, tau, exponents, lags), free.ravel(), strict=True
             )
         ]
-        slope = slope.reshape(-1, 3)
-        slope[:, 2] *= [common.warming() for common in commons]
-        return commons, square.ravel(), slope
+        slope, spread = slope.reshape(-1, 3), spread.reshape(-1, 3)
+        warming = np.array([common.warming() for common in commons])
+        slope[:, 2] *= warming
+        spread[:, 2] *= warming**2
+        return commons, square.ravel(), slope, spread
 
     def _fit(
         self, current: Array, lost: Array, friction: Sequence[Array]
-    ) -> tuple[Array, Array, Array]:
-        """Return Q (s,), slopes (s, 3), and which transitions are without friction (s,)."""
-        square, slope, free, added = self._fit_columns(current, [lost], friction)
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return Q (s,), slopes (s, 3) and their variances (s, 3), and where least squares find no
+        friction (s,)."""
+        *fits, added = self._fit_columns(current, [lost], friction)
         gains = added > 0  # as no magnet does by heat
         if not gains.any():
-            return square, slope, free
-        cold, cold_slope, cold_free, _ = self._fit_columns(current, [], friction)
-        slope = np.where(gains[:, None], cold_slope, slope)
-        return np.where(gains, cold, square), slope, np.where(gains, cold_free, free)
+            return tuple(fits)
+        *cold, _ = self._fit_columns(current, [], friction)
+        return tuple(
+            np.where(np.reshape(gains, (-1, *[1] * (one.ndim - 1))), other, one)
+            for one, other in zip(fits, cold, strict=True)
+        )
 
     def _fit_columns(
         self, current: Array, lost: list[Array], friction: Sequence[Array]
-    ) -> tuple[Array, Array, Array, Array]:
-        """Return Q (s,), slopes (s, 3), without friction (s,), and what heat adds (s,)."""
-        smooth = np.stack([current, self._weight, self._step, *lost], axis=2)[None]
-        saturation = (current * np.abs(current))[None, :, :, None]
-        plain = np.broadcast_to(smooth, (len(friction[0]), *smooth.shape[1:]))
-        slid = np.concatenate([plain, *(column[..., None] for column in friction)], axis=3)
-        more = np.broadcast_to(saturation, (*slid.shape[:3], 1))
-        square, found, of_slid = self._least_squares(np.concatenate([slid, more], axis=3))
-        none, bare, of_smooth = self._least_squares(np.concatenate([smooth, saturation], axis=3))
-        level = found[..., 3 + len(lost), 0] @ self._share
-        free = level <= 0
-        square = np.where(free, none, square)
-        square = np.where(level > LARGEST_FRICTION * self._span, np.inf, square)
-        added = np.where(free, bare[..., 3, 0] @ self._share, found[..., 3, 0] @ self._share)
-        # The ripple's i |i| averages out over angles; as a column it would take most of the slope.
-        slope, without = (self._slopes(of, bool(lost)) for of in (of_slid, of_smooth))
-        return square, np.where(free[:, None], without, slope), free, added
-
-    def _slopes(self, found: Array, warmed: bool) -> Array:
-        """Return mean slope, trend and relative loss by heat (s, 3) from parameters (s, g, c, 2),
-        the fourth of which is that loss where the winding is `warmed`."""
-        mean = found[..., 0, 0] @ self._share
-        loss = -found[..., 3, 0] @ self._share / mean if warmed else np.zeros(mean.shape)
-        slopes: Array = np.stack([mean, np.sum(found[..., 0, 1], axis=1), loss], axis=1)
-        return slopes
-
-    def _least_squares(self, design: Array) -> tuple[Array, Array, Array]:
-        """Return Q (s,) of the mean torque and parameters (s, g, c, 2) of designs (s, g, p, c); and
-        the parameters (s, g, c - 1, 2) without the last column, whose factors are in the others."""
-        q, r = np.linalg.qr(design)
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """Return what `_fit` does, and what heat adds (s,)."""
+        smooth = np.stack([current, self._weight, self._step, *lost], axis=2)
+        plain = np.broadcast_to(smooth, (len(friction[0]), *smooth.shape))
+        curved = np.broadcast_to((current * np.abs(current))[..., None], (*plain.shape[:3], 1))
+        q, r = np.linalg.qr(np.concatenate([plain, np.stack(friction, axis=3), curved], axis=3))
         projected = np.swapaxes(q, 2, 3) @ self._torque
         rest = self._torque[..., 0] - (q @ projected[..., :1])[..., 0]
         square = np.sum(rest**2, axis=2) @ self._share
-        fewer = np.linalg.solve(r[..., :-1, :-1], projected[..., :-1, :])
-        return square, np.linalg.solve(r, projected), fewer
+        found, inverse = np.linalg.solve(r, projected), np.linalg.inv(r)
+        level = found[..., -3, 0] @ self._share
+        cover = inverse[..., -3:-1, :] @ np.swapaxes(inverse[..., -3:-1, :], 2, 3)
+        variance = np.maximum(square, 1e-300) / self.dof
+        left = possible(found[..., -3:-1, 0], cover * variance[:, None, None, None])
+        square = square * np.exp(-2 * left.logarithm.sum(axis=1) / self.dof)
+        square = np.where(level > LARGEST_FRICTION * self._span, np.inf, square)
+        # The ripple's i |i| averages out over angles; as a column it would take most of the slope.
+        found = np.linalg.solve(r[..., :-1, :-1], projected[..., :-1, :])[..., :-2, :]
+        follows = -np.linalg.solve(r[..., :-3, :-3], r[..., :-3, -3:-1])  # all else as friction does
+        found[..., 0] += np.einsum("sgcf,sgf->sgc", follows, left.shift)
+        mean = found[..., 0, 0] @ self._share
+        slope, spread = np.zeros((2, len(mean), 3))
+        slope[:, 0], slope[:, 1] = mean, np.sum(found[..., 0, 1], axis=1)
+        varied = np.einsum("sgcf,sgfh,sgch->sgc", follows, left.covariance, follows)
+        spread[:, 0] = varied[..., 0] @ self._share**2
+        added = np.zeros(mean.shape)
+        if lost:
+            added = found[..., 3, 0] @ self._share
+            slope[:, 2], spread[:, 2] = -added / mean, varied[..., 3] @ self._share**2 / mean**2
+        return square, slope, spread * (level <= 0)[:, None], level <= 0, added
 
     def smooth(self, common: Common) -> None:
         """Take off the courses what a hypothesis leaves of the mean torques, as noise; and off
