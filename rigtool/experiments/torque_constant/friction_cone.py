@@ -3,7 +3,7 @@
 Friction f opposes motion, and its state z0 before a staircase is within -1 to 1. Of the normal
 distribution that least squares give f and h = f z0, only the part
 
-    0 <= f,   -f <= h <= f
+    0 <= f <= largest,   -f <= h <= f
 
 is possible: its probability, and its mean, are those of friction (A. Gelman et al., Bayesian Data
 Analysis, 3rd ed., 2013, section 2.8). Where contacts bend further than the arm moves, noise makes f
@@ -34,9 +34,9 @@ class Possible:
     covariance: Array
 
 
-def possible(mean: Array, covariance: Array) -> Possible:
+def possible(mean: Array, covariance: Array, largest: float) -> Possible:
     """Return the possible part of normal distributions of f and h, of mean (..., 2) N m and
-    covariance (..., 2, 2)."""
+    covariance (..., 2, 2); `largest` is that of f, N m."""
     from scipy.special import log_ndtr
 
     f, h = mean[..., None, 0], mean[..., None, 1]
@@ -44,7 +44,9 @@ def possible(mean: Array, covariance: Array) -> Possible:
     slope = (covariance[..., 0, 1] / covariance[..., 0, 0])[..., None]
     rest = covariance[..., 1, 1] - covariance[..., 0, 1] ** 2 / covariance[..., 0, 0]
     narrow = np.sqrt(np.maximum(rest, 1e-12 * covariance[..., 1, 1]))[..., None]
-    low, high = np.maximum(f - REACH * sigma, 0.0), np.maximum(f, 0.0) + REACH * sigma
+    nearest = np.clip(f, 0.0, largest)
+    low = np.maximum(np.minimum(f, nearest) - REACH * sigma, 0.0)
+    high = np.minimum(nearest + REACH * sigma, largest)
     at = low + (high - low) * (np.arange(NODES) + 0.5) / NODES
     centre = h + slope * (at - f)
     below, above = (-at - centre) / narrow, (at - centre) / narrow

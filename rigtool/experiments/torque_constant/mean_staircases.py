@@ -9,7 +9,6 @@ A hypothesis fixes s, tau, exponent and lag in (1) of
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import replace
 from itertools import product
 
@@ -44,7 +43,7 @@ class MeanStaircases:
     def __init__(self, stairs: Stairs, coefficient: float, trend: Array) -> None:
         self.stairs, self._coefficient = stairs, coefficient
         self.arm: Arm | None = None
-        self._common: Common | None = None
+        self._time_constant = 0.0
         kind = stairs.courses.kind
         self._members = [kind == number for number in range(int(kind.max()) + 1)]
         self._share = np.array([np.mean(those) for those in self._members])
@@ -56,12 +55,6 @@ class MeanStaircases:
         self._torque = np.stack([torque, np.stack(combined)], axis=2)  # (g, p, 2)
         self._span = float(np.ptp(torque))
         self.dof = int(self._weight.sum()) - PARAMETERS * len(self._members)
-
-    def with_noise(self) -> MeanStaircases:
-        """Return these staircases with the courses as they were measured."""
-        other = copy(self)
-        other.stairs = replace(self.stairs, courses=self.stairs.courses.with_noise())
-        return other
 
     def _mean(self, values: Array) -> Array:
         return np.stack([values[those].mean(axis=0) for those in self._members])
@@ -95,7 +88,8 @@ class MeanStaircases:
         if len(axes) > 3:
             lags = list(np.exp(axes[3]).tolist())
         if self.arm is not None:
-            lags, ways = [self.arm.lag], self._own_ways(transition, exponents)
+            lags = [self.arm.lag]
+            ways = self._own_ways(self.arm, transition, exponents)
         else:
             ways = np.stack(self._ways(lags), axis=1)
         columns = self._friction(ways, transition[:, None, None], exponents[:, None, None, None])
@@ -151,12 +145,16 @@ class MeanStaircases:
         level = found[..., -3, 0] @ self._share
         cover = inverse[..., -3:-1, :] @ np.swapaxes(inverse[..., -3:-1, :], 2, 3)
         variance = np.maximum(square, 1e-300) / self.dof
-        left = possible(found[..., -3:-1, 0], cover * variance[:, None, None, None])
-        square = square * np.exp(-2 * left.logarithm.sum(axis=1) / self.dof)
+        cover *= variance[:, None, None, None]
+        left = possible(found[..., -3:-1, 0], cover, LARGEST_FRICTION * self._span)
+        # Far beyond what is possible, this is the sum of squares at the closest that is.
+        square = square * (1 - 2 * left.logarithm.sum(axis=1) / self.dof)
         square = np.where(level > LARGEST_FRICTION * self._span, np.inf, square)
         # The ripple's i |i| averages out over angles; as a column it would take most of the slope.
         found = np.linalg.solve(r[..., :-1, :-1], projected[..., :-1, :])[..., :-2, :]
-        follows = -np.linalg.solve(r[..., :-3, :-3], r[..., :-3, -3:-1])  # all else as friction does
+        follows = -np.linalg.solve(
+            r[..., :-3, :-3], r[..., :-3, -3:-1]
+        )  # all else as friction does
         found[..., 0] += np.einsum("sgcf,sgf->sgc", follows, left.shift)
         mean = found[..., 0, 0] @ self._share
         slope, spread = np.zeros((2, len(mean), 3))
@@ -182,7 +180,8 @@ class MeanStaircases:
 
     def find_arm(self, common: Common) -> None:
         """Find the arm in the mean courses, with the friction of a hypothesis."""
-        self.arm, self._common = arm_of(self.stairs.courses, self.contacts(common)), common
+        self.arm = arm_of(self.stairs.courses, self.contacts(common))
+        self._time_constant = common.time_constant
 
     def move_arm(self, common: Common) -> None:
         """Give the courses the swings of the arm, with the friction of a hypothesis."""
@@ -226,24 +225,21 @@ class MeanStaircases:
         state = np.clip(-along / np.maximum(level, 1e-300)[:, None, None], -1.0, 1.0)
         return np.clip(level, 0.0, LARGEST_FRICTION * self._span), state
 
-    def _own_ways(self, transition: Array, exponents: Array) -> Array:
+    def _own_ways(self, arm: Arm, transition: Array, exponents: Array) -> Array:
         """Return the path of each transition (s,) and exponent (e,) of friction, (TURNS + 2, e, s,
         1, g, p) N m: how far the arm swings depends on friction, too."""
-        assert self.arm is not None
-        assert self._common is not None
-        courses, lag = self.stairs.courses, self.arm.lag
-        (way,) = self._ways([lag])
-        a, b = self._friction(way, transition[:, None], exponents[:, None, None])
-        shape = a.shape
-        levels, states = self._levels(
-            self._common.time_constant, *(each.reshape(-1, *shape[2:]) for each in (a, b))
-        )
+        courses = self.stairs.courses
+        (way,) = self._ways([arm.lag])
+        columns = self._friction(way, transition[:, None], exponents[:, None, None])
+        shape = columns[0].shape
+        each = (column.reshape(-1, *shape[2:]) for column in columns)
         found = []
         for level, state, (exponent, s) in zip(
-            levels, states, product(exponents, transition), strict=True
+            *self._levels(self._time_constant, *each), product(exponents, transition), strict=True
         ):
-            moved = self.arm.moved(courses, Contacts(float(level), state, float(s), float(exponent)))
-            found.append(paths(moved, moved.torque, moved.course, [lag])[0])
+            contacts = Contacts(float(level), state, float(s), float(exponent))
+            moved = arm.moved(courses, contacts)
+            found.append(paths(moved, moved.torque, moved.course, [arm.lag])[0])
         ways = np.stack(found, axis=1)
         return ways.reshape(len(ways), *shape[:2], 1, *shape[2:])
 
