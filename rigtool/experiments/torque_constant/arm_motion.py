@@ -69,7 +69,7 @@ class Arm:
 
     def swings(self, courses: Courses, contacts: Contacts) -> Array:
         """Return the swings (g, p, c) of (1) about where the arm comes to rest, N m."""
-        swings = np.empty(courses.course.shape)
+        swings: Array = np.empty(courses.course.shape)
         drive = courses.torque + contacts.level * contacts.state
         for number, swing in enumerate(swings):
             _move(
@@ -81,8 +81,9 @@ class Arm:
                 (courses.torque[number, 0], contacts.state[number, 0]),
                 swing,
             )
-        half = swings.shape[2] // 2
-        return swings - swings[:, :, half:].mean(axis=2, keepdims=True)
+        settled = swings[:, :, courses.course.shape[2] // 2 :]
+        swings -= settled.mean(axis=2, keepdims=True)
+        return swings
 
 
 def arm_of(courses: Courses, contacts: Contacts) -> Arm | None:
@@ -99,14 +100,14 @@ def arm_of(courses: Courses, contacts: Contacts) -> Arm | None:
         frequency, lag = np.exp(logarithms).tolist()
         return Arm(frequency, lag, steps)
 
+    def left(logarithms: Array) -> Array:
+        rest = arm(logarithms).swings(courses, contacts) - measured
+        return rest[:, 1:].ravel()
+
     from scipy.optimize import least_squares
 
-    found = least_squares(
-        lambda at: (arm(at).swings(courses, contacts) - measured)[:, 1:].ravel(),
-        start,
-        bounds=(start - RANGE, start + RANGE),
-        diff_step=1e-4,
-    )
+    bounds = (start - RANGE, start + RANGE)
+    found = least_squares(left, start, bounds=bounds, diff_step=np.full(2, 1e-4))
     return arm(found.x)
 
 

@@ -115,9 +115,7 @@ class MeanStaircases:
         spread[:, 2] *= warming**2
         return commons, square.ravel(), slope, spread
 
-    def _fit(
-        self, current: Array, lost: Array, friction: Sequence[Array]
-    ) -> tuple[Array, Array, Array, Array]:
+    def _fit(self, current: Array, lost: Array, friction: Sequence[Array]) -> tuple[Array, ...]:
         """Return Q (s,), slopes (s, 3) and their variances (s, 3), and where least squares find no
         friction (s,)."""
         *fits, added = self._fit_columns(current, [lost], friction)
