@@ -4,13 +4,9 @@
 
 with g of (1) in `rigtool.experiments.torque_constant.staircase_model`. A staircase shows how much
 its own heat takes, and little of a time constant tau beyond its length: the loss by a lasting
-current is an extrapolation along tau. Where friction is large, two errors of its course pass for
-another tau.
-
-- Its path is that without noise, which loses small swings, or that with all of it, which has too
-  many. Hypotheses are weighed along both, and both are as probable.
-- Friction that falls with speed is less in the swings than where the arm rests. What a hypothesis
-  leaves below `LAW` of friction is no evidence: that squared is added to each Q.
+current is an extrapolation along tau. Where friction is large, an error of its law passes for
+another tau: friction that falls with speed is less in the swings than where the arm rests. What a
+hypothesis leaves below `LAW` of friction is no evidence: that squared is added to each Q.
 """
 
 from __future__ import annotations
@@ -25,11 +21,7 @@ from rigtool.experiments.torque_constant.hypotheses import (
     SHORTEST_TIME_CONSTANT,
     TIME_CONSTANTS,
     Hypotheses,
-    Weighed,
-    ways_of,
-    weighed,
 )
-from rigtool.experiments.torque_constant.mean_staircases import MeanStaircases
 from rigtool.experiments.torque_constant.staircase_model import Common
 
 TAU_STEP = math.log(LONGEST_TIME_CONSTANT / SHORTEST_TIME_CONSTANT) / (TIME_CONSTANTS - 1)
@@ -43,25 +35,14 @@ Stribeck velocity of 0.3 rad/s by 0.2 to 0.9 % for a moment."""
 def loss_by_heat(hypotheses: Hypotheses) -> tuple[float, float]:
     """Return the relative loss of the constant within `HEATING_TIME`, over the square of the
     current, 1/A2, and its standard uncertainty by what the hypotheses leave open."""
-    means = hypotheses.means
-    noisy = means.with_noise()
-    along = [
-        _along_a_path(means, hypotheses.weighed),
-        _along_a_path(noisy, weighed(noisy, ways_of(means.stairs))),
-    ]
-    losses, variances = np.transpose(along)
-    loss, spread = float(losses.mean()), math.sqrt(float(variances.mean() + losses.var()))
+    means, found = hypotheses.means, hypotheses.weighed
+    probable = found.probable(means.plateaus * (LAW * means.contacts(found.best).level) ** 2)
+    losses = found.slope[:, 2]
+    loss = float(probable @ losses)
+    spread = math.sqrt(float(probable @ ((losses - loss) ** 2 + found.variance[:, 2])))
     stairs = means.stairs
     length = float(np.mean(stairs.end.max(axis=1) - stairs.begin.min(axis=1)))
-    return loss, math.hypot(spread, loss * _untried(hypotheses.weighed.best, length))
-
-
-def _along_a_path(means: MeanStaircases, found: Weighed) -> tuple[float, float]:
-    """Return mean and variance of the loss."""
-    probable = found.probable(means.plateaus * (LAW * means.friction(found.best)) ** 2)
-    loss = found.slope[:, 2]
-    mean = float(probable @ loss)
-    return mean, float(probable @ (loss - mean) ** 2)
+    return loss, math.hypot(spread, loss * _untried(found.best, length))
 
 
 def _untried(best: Common, length: float) -> float:

@@ -70,6 +70,7 @@ class Weighed:
     square: Array
     independent: float
     slope: Array
+    variance: Array
 
     def probable(self, open_square: float = 0.0) -> Array:
         """Return the probability of each (n,), where a Q of `open_square` is no evidence."""
@@ -111,9 +112,13 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
     coarse = _joined([_search(means, way, 0) for way in ways])
     means.smooth(coarse.commons[int(np.argmin(coarse.square))])
     found = weighed(means, ways)
+    means.find_arm(found.best)
+    if means.arm is not None:
+        found = weighed(means, [(means.arm.lag, means.arm.lag)])
+        means.move_arm(found.best)
     probable = found.probable()
     mean = probable @ found.slope
-    spread = np.sqrt(probable @ (found.slope - mean) ** 2)
+    spread = np.sqrt(probable @ ((found.slope - mean) ** 2 + found.variance))
     return Hypotheses(means, found, float(mean[0]), float(spread[0]), float(spread[1]))
 
 
@@ -122,7 +127,7 @@ def weighed(means: MeanStaircases, ways: list[tuple[float, float] | None]) -> We
     tried = _joined([_search(means, way, FINER_GRIDS) for way in ways])
     best = tried.commons[int(np.argmin(tried.square))]
     count = max(means.independent(best), FEWEST_RESIDUALS)
-    return Weighed(best, tried.volume, tried.square, count, tried.slope)
+    return Weighed(best, tried.volume, tried.square, count, tried.slope, tried.variance)
 
 
 @dataclass(frozen=True)
@@ -138,6 +143,7 @@ class _Tried:
     volume: Array
     square: Array
     slope: Array
+    variance: Array
 
 
 def _joined(parts: list[_Tried]) -> _Tried:
@@ -148,6 +154,7 @@ def _joined(parts: list[_Tried]) -> _Tried:
         np.concatenate([part.volume for part in parts]),
         np.concatenate([part.square for part in parts]),
         np.concatenate([part.slope for part in parts]),
+        np.concatenate([part.variance for part in parts]),
     )
 
 
@@ -181,8 +188,8 @@ def _search(means: MeanStaircases, lag: tuple[float, float] | None, finer: int) 
             part.volume[np.all((part.place >= begin) & (part.place <= end), axis=1)] = 0.0
         place = np.array(list(product(*axes)))
         volume = np.full(len(place), np.prod(step[wide] / (high - low)[wide]))
-        commons, square, slope = means.try_all(axes)
-        found.append(_Tried(commons, place, volume, square, slope))
+        commons, square, slope, variance = means.try_all(axes)
+        found.append(_Tried(commons, place, volume, square, slope, variance))
         centre, half = place[int(np.argmin(square))], 1.5 * step
     return _joined(found)
 

@@ -68,10 +68,6 @@ class Courses:
         course = self.course[self.kind] + change[:, :, None] + self.swing_change
         return self.torque[self.kind] + change, course
 
-    def with_noise(self) -> Courses:
-        """Return the courses with what was taken off the mean ones."""
-        return replace(self, course=self.course + self.dropped)
-
     def less(self, torque: Array, rate: Array) -> Courses:
         """Return the courses without parts (g, p) of their torques and (g, r, p) of the rates."""
         return replace(

@@ -34,14 +34,14 @@ def test_hypotheses_spread_as_over_zeros_of_a_true_gauge():
         channels = {**signals, "force": force}
         return plateaus_of_set_point(**channels, arm_length=0.54, settle_time=0.08)
 
-    zeros = np.array([0, 3]) / 12
+    zeros = np.arange(0, 12, 3) / 12
     rounded = [plateaus((np.round(signals["force"] / STEP + zero) - zero) * STEP) for zero in zeros]
     found = [weigh_hypotheses(arrange(each), *ABOUT).constant for each in rounded]
     exact = arrange(plateaus(signals["force"]))
     gauge = replace(arrange(rounded[0]), noise=0.0)
     errors = rounding_errors(gauge, exact.torque)
     assert len(errors) == 12
-    readings = exact.torque + errors[[0, 3]]
+    readings = exact.torque + errors[::3]
     own = np.stack([arrange(each).torque for each in rounded])
     # Five harmonics of a sawtooth hold 0.89 of its power.
     assert np.sqrt(np.mean((readings - own) ** 2)) < 0.4 * np.sqrt(np.mean(errors**2))

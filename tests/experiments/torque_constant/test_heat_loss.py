@@ -5,11 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rigtool.experiments.torque_constant import heat_loss
 from rigtool.experiments.torque_constant.heat_loss import (
     LAW,
     TAU_STEP,
-    _along_a_path,
     _untried,
     loss_by_heat,
 )
@@ -22,7 +20,8 @@ BEST = Common(0.02, 1.0, 0.1, 30.0)
 def weighed_from(loss, square, independent=40.0):
     slope = np.zeros((len(loss), 3))
     slope[:, 2] = loss
-    return Weighed(BEST, np.ones(len(loss)), np.asarray(square), independent, slope)
+    nothing = np.zeros(slope.shape)
+    return Weighed(BEST, np.ones(len(loss)), np.asarray(square), independent, slope, nothing)
 
 
 @pytest.mark.parametrize("time_constant", [5.0, 30.0, 150.0])
@@ -35,24 +34,26 @@ def test_between_two_time_constants_a_loss_is_as_uncertain_as_their_distance(tim
     assert _untried(Common(None, 1.0, None, time_constant), HEATING_TIME) == 0.0
 
 
+def loss_of(found, friction):
+    """Return the loss by heat where friction is so large, and the staircase as long as a current
+    whose loss is stated."""
+    stairs = SimpleNamespace(begin=np.zeros((1, 2)), end=np.full((1, 2), HEATING_TIME))
+    contacts = SimpleNamespace(level=friction)
+    means = SimpleNamespace(plateaus=30.0, contacts=lambda common: contacts, stairs=stairs)
+    return loss_by_heat(SimpleNamespace(means=means, weighed=found))
+
+
 def test_what_friction_by_its_law_leaves_open_is_no_evidence():
     """Two hypotheses of which the better leaves less than friction is known to."""
     found = weighed_from([1e-3, 2e-3], [1e-10, 4e-10])
-    means = SimpleNamespace(plateaus=30.0, friction=lambda common: 0.0)
-    assert _along_a_path(means, found) == pytest.approx((1e-3, 0.0), abs=1e-12)
-    friction = 4e-9**0.5 / LAW / 30**0.5
-    means = SimpleNamespace(plateaus=30.0, friction=lambda common: friction)
+    assert loss_of(found, 0.0) == pytest.approx((1e-3, 0.0), abs=1e-8)
     second = (4.4 / 4.1) ** -20.0
-    mean, variance = _along_a_path(means, found)
-    assert mean == pytest.approx((1e-3 + second * 2e-3) / (1 + second), rel=1e-9)
-    assert variance == pytest.approx(1e-6 * second / (1 + second) ** 2, rel=1e-9)
+    loss, u = loss_of(found, 4e-9**0.5 / LAW / 30**0.5)
+    assert loss == pytest.approx((1e-3 + second * 2e-3) / (1 + second), rel=1e-9)
+    assert u**2 == pytest.approx(1e-6 * second / (1 + second) ** 2, rel=1e-9)
 
 
-def test_both_paths_of_friction_are_as_probable(monkeypatch):
-    stairs = SimpleNamespace(begin=np.zeros((1, 2)), end=np.full((1, 2), HEATING_TIME))
-    means = SimpleNamespace(plateaus=30.0, friction=lambda common: 0.0, stairs=stairs)
-    means.with_noise = lambda: means
-    monkeypatch.setattr(heat_loss, "ways_of", lambda stairs: [])
-    monkeypatch.setattr(heat_loss, "weighed", lambda means, ways: weighed_from([3e-3], [1e-10]))
-    hypotheses = SimpleNamespace(means=means, weighed=weighed_from([1e-3], [1e-10]))
-    assert loss_by_heat(hypotheses) == pytest.approx((2e-3, 1e-3), rel=1e-9)
+def test_what_a_hypothesis_leaves_open_by_itself_counts():
+    found = weighed_from([1e-3, 1e-3], [1e-10, 1e-10])
+    found.variance[:, 2] = 1e-8, 3e-8
+    assert loss_of(found, 0.0) == pytest.approx((1e-3, 2e-8**0.5), rel=1e-9)

@@ -1,0 +1,152 @@
+"""Swings of the arm after each step of a staircase, from its equation of motion.
+
+In the elastic torque x of the arm, with natural frequency w and lag l of its damping,
+
+    x''/w2 + l x' + x = M_j - f z,   dz = +-|1 -+ z|^i |dx| / s,   torque = x + l x'     (1)
+
+where M_j is the motor's torque on plateau j. It is what the gauge shows at rest, and friction. Only
+w and l are unknown. They are fitted to the courses of all plateaus together, so that the swings
+have hardly any noise of the gauge. Noise in the swing of each step alone would count as path of
+friction: less friction then fits the staircase, and the slope comes out low (errors in variables;
+R. J. Carroll et al., Measurement Error in Nonlinear Models, 2nd ed., 2006, section 1.1).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rigtool.experiments.torque_constant.swings import LARGEST_DAMPING, Courses, longest_lag
+from rigtool.numerics.arrays import Array
+from rigtool.numerics.compiled import compiled
+
+FINEST_ANGLE = 0.05
+"""Angle of the arm's oscillation in one step of the integration, rad."""
+
+RANGE = math.log(5.0)
+"""Natural frequency and lag are searched up to this beyond where the search begins, logarithm."""
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """Friction `level` f in N m and its `state` z (g, p) on each plateau; `transition` s in N m and
+    `exponent` i of its law."""
+
+    level: float
+    state: Array
+    transition: float
+    exponent: float
+
+
+@dataclass(frozen=True)
+class Arm:
+    """Natural `frequency` w in rad/s and `lag` l in s of an arm; it moves in so many `steps` of
+    integration for each value of a course."""
+
+    frequency: float
+    lag: float
+    steps: int
+
+    def moved(self, courses: Courses, contacts: Contacts) -> Courses:
+        """Return the courses with the swings of (1), and what all steps leave of these in common.
+
+        That is what the arm has beside (1), as a delay of the current.
+        """
+        measured = courses.course + courses.dropped - courses.torque[:, :, None]
+        swings = self.swings(courses, contacts)
+        step = np.diff(courses.torque, axis=1, prepend=courses.torque[:, :1])
+        common = np.einsum("gp,gpc->gc", step, measured - swings)
+        swings += step[:, :, None] * (common / np.sum(step**2, axis=1)[:, None])[:, None]
+        left = measured - swings
+        return replace(
+            courses,
+            course=courses.torque[:, :, None] + swings,
+            noise=np.sqrt(np.mean(left**2, axis=(1, 2)) / left.shape[1]),
+            dropped=left,
+        )
+
+    def swings(self, courses: Courses, contacts: Contacts) -> Array:
+        """Return the swings (g, p, c) of (1) about where the arm comes to rest, N m."""
+        swings: Array = np.empty(courses.course.shape)
+        drive = courses.torque + contacts.level * contacts.state
+        for number, swing in enumerate(swings):
+            _move(
+                drive[number],
+                courses.part[number] / self.steps,
+                self.steps,
+                (self.frequency, self.lag),
+                (contacts.level, contacts.transition, contacts.exponent),
+                (courses.torque[number, 0], contacts.state[number, 0]),
+                swing,
+            )
+        settled = swings[:, :, courses.course.shape[2] // 2 :]
+        swings -= settled.mean(axis=2, keepdims=True)
+        return swings
+
+
+def arm_of(courses: Courses, contacts: Contacts) -> Arm | None:
+    """Return the arm whose swings are those of the mean courses; None where these show none."""
+    slowest = longest_lag(courses)
+    if slowest is None:
+        return None
+    measured = courses.course + courses.dropped - courses.torque[:, :, None]
+    start = np.log([2 * LARGEST_DAMPING / slowest, slowest / 4])
+    angle = math.exp(start[0]) * float(np.max(courses.part))
+    steps = max(math.ceil(angle / FINEST_ANGLE), 1)
+
+    def arm(logarithms: Array) -> Arm:
+        frequency, lag = np.exp(logarithms).tolist()
+        return Arm(frequency, lag, steps)
+
+    def left(logarithms: Array) -> Array:
+        rest = arm(logarithms).swings(courses, contacts) - measured
+        return rest[:, 1:].ravel()
+
+    from scipy.optimize import least_squares
+
+    bounds = (start - RANGE, start + RANGE)
+    found = least_squares(left, start, bounds=bounds, diff_step=np.full(2, 1e-4))
+    return arm(found.x)
+
+
+@compiled
+def _move(
+    drive: Array,
+    step: Array,
+    steps: int,
+    arm: tuple[float, float],
+    contacts: tuple[float, float, float],
+    start: tuple[float, float],
+    torque: Array,
+) -> None:
+    """Move the arm under motor torques (p,) N m by (1) and write the gauge's `torque` (p, c) N m.
+
+    `step` (p,) s is that of the integration, `steps` to a value of the course; the damping acts
+    with the mean of the speeds before and after (leapfrog: Hairer, Lubich and Wanner, Geometric
+    Numerical Integration, 2006, section I.1).
+    """
+    frequency, lag = arm
+    level, transition, exponent = contacts
+    x, z = start
+    speed = 0.0
+    for j in range(len(drive)):
+        push = frequency * frequency * step[j]
+        drag = push * lag / 2.0
+        for part in range(torque.shape[1]):
+            total = 0.0
+            for _ in range(steps):
+                before = speed
+                speed = ((1.0 - drag) * speed + push * (drive[j] - x - level * z)) / (1.0 + drag)
+                way = speed * step[j]
+                total += x + lag * (before + speed) / 2.0
+                x += way
+                side = math.copysign(1.0, way)
+                left = 1.0 - side * z
+                if exponent == 1.0:
+                    left /= 1.0 + abs(way) / transition
+                elif left > 0.0:
+                    left = max(left - abs(way) / transition * left**exponent, 0.0)
+                z = side * (1.0 - left)
+            torque[j, part] = total / steps

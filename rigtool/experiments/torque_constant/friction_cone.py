@@ -1,0 +1,74 @@
+"""What is possible for friction, of what least squares find of it.
+
+Friction f opposes motion, and its state z0 before a staircase is within -1 to 1. Of the normal
+distribution that least squares give f and h = f z0, only the part
+
+    0 <= f <= largest,   -f <= h <= f
+
+is possible: its probability, and its mean, are those of friction (A. Gelman et al., Bayesian Data
+Analysis, 3rd ed., 2013, section 2.8). Where contacts bend further than the arm moves, noise makes f
+negative in many staircases that have friction.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from rigtool.numerics.arrays import Array
+
+NODES, REACH = 41, 5.0
+"""Values of f for which h is integrated, up to so many standard deviations from the mean."""
+
+
+@dataclass(frozen=True)
+class Possible:
+    """The possible part of normal distributions (...) of f and h: the logarithm of its probability
+    (...,), how far its mean is from that of the whole, N m (..., 2), and its covariance (..., 2, 2)
+    in (N m)2."""
+
+    logarithm: Array
+    shift: Array
+    covariance: Array
+
+
+def possible(mean: Array, covariance: Array, largest: float) -> Possible:
+    """Return the possible part of normal distributions of f and h, of mean (..., 2) N m and
+    covariance (..., 2, 2); `largest` is that of f, N m."""
+    from scipy.special import log_ndtr
+
+    f, h = mean[..., None, 0], mean[..., None, 1]
+    sigma = np.sqrt(covariance[..., 0, 0])[..., None]
+    slope = (covariance[..., 0, 1] / covariance[..., 0, 0])[..., None]
+    rest = covariance[..., 1, 1] - covariance[..., 0, 1] ** 2 / covariance[..., 0, 0]
+    narrow = np.sqrt(np.maximum(rest, 1e-12 * covariance[..., 1, 1]))[..., None]
+    nearest = np.clip(f, 0.0, largest)
+    low = np.maximum(np.minimum(f, nearest) - REACH * sigma, 0.0)
+    high = np.minimum(nearest + REACH * sigma, largest)
+    at = low + (high - low) * (np.arange(NODES) + 0.5) / NODES
+    centre = h + slope * (at - f)
+    below, above = (-at - centre) / narrow, (at - centre) / narrow
+    # log of Phi(above) - Phi(below), on the side where both are small
+    mirrored = below > 0
+    upper = log_ndtr(np.where(mirrored, -below, above))
+    lower = log_ndtr(np.where(mirrored, -above, below))
+    part = upper + np.log(-np.expm1(np.minimum(lower - upper, -1e-300)))
+    density = part - ((at - f) / sigma) ** 2 / 2
+    top = density.max(axis=-1, keepdims=True)
+    weight = np.exp(density - top)
+    total = weight.sum(axis=-1)
+    width = ((high - low) / sigma)[..., 0] / NODES / math.sqrt(2 * math.pi)
+    logarithm = np.log(total * width) + top[..., 0]
+    density_at = np.exp(-(np.stack([below, above]) ** 2) / 2 - part) / math.sqrt(2 * math.pi)
+    inner = density_at[0] - density_at[1]
+    bent = below * density_at[0] - above * density_at[1]
+    variance = np.maximum(narrow**2 * (1 + bent - inner**2), 0.0)
+    weight /= total[..., None]
+    off = np.stack([at - f, centre + narrow * inner - h])
+    shift = np.sum(weight * off, axis=-1)
+    off -= shift[..., None]
+    spread = np.einsum("...k,i...k,j...k->...ij", weight, off, off)
+    spread[..., 1, 1] += np.sum(weight * variance, axis=-1)
+    return Possible(logarithm, np.moveaxis(shift, 0, -1), spread)

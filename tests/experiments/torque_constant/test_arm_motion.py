@@ -1,0 +1,84 @@
+"""The arm's motion after each step of a staircase."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import solve_ivp
+
+from rigtool.experiments.torque_constant.arm_motion import Arm, Contacts, arm_of
+from rigtool.experiments.torque_constant.swings import mean_courses
+
+PARTS, TIME = 96, 0.4
+LEVELS = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0, 0.0])
+"""Torques at rest of a staircase, in steps of 10 mN m."""
+
+ARM = Arm(frequency=55.0, lag=0.011, steps=8)
+CONTACTS = Contacts(6e-3, np.array([[0.0, 0.4, 0.7, 0.8, 0.9, 0.3, -0.2, -0.5, -0.7]]), 0.02, 1.0)
+
+
+def staircase(rng=None, noise=0.0):
+    """Return courses whose swings are those of the arm, with noise."""
+    torque = 0.01 * LEVELS[None]
+    bare = mean_courses(
+        LEVELS[None],
+        torque,
+        np.repeat(torque[:, :, None], PARTS, axis=2),
+        np.full(torque.shape, TIME),
+        np.zeros(1),
+        noise=1e-9,
+    )
+    swings = ARM.swings(bare, CONTACTS)
+    if rng is not None:
+        swings = swings + noise * rng.standard_normal(swings.shape)
+    return replace(bare, course=torque[:, :, None] + swings, dropped=np.zeros(swings.shape))
+
+
+@pytest.mark.parametrize("exponent", [0.7, 1.0, 1.6])
+def test_swings_are_those_of_the_equation_of_motion(exponent):
+    """By scipy's integrator, plateau by plateau."""
+    contacts = replace(CONTACTS, exponent=exponent)
+    found = ARM.swings(staircase(), contacts)[0]
+    drive = 0.01 * LEVELS + contacts.level * contacts.state[0]
+
+    def change(_, at, push):
+        x, speed, z = at
+        side = 1.0 if speed > 0 else -1.0
+        slides = max(1 - side * z, 0.0) ** exponent * abs(speed) / contacts.transition
+        force = push - x - contacts.level * z - ARM.lag * speed
+        return [speed, ARM.frequency**2 * force, side * slides]
+
+    at, edges = [0.0, 0.0, contacts.state[0, 0]], np.linspace(0, TIME, PARTS * 8 + 1)
+    for j, push in enumerate(drive):
+        solved = solve_ivp(change, (0, TIME), at, t_eval=edges, args=(push,), max_step=1e-3)
+        torque = solved.y[0] + ARM.lag * solved.y[1]
+        course = (torque[1:] + torque[:-1]).reshape(PARTS, 8).mean(axis=1) / 2
+        course -= course[PARTS // 2 :].mean()
+        assert_allclose(found[j], course, atol=0.02 * 0.01)
+        at = solved.y[:, -1]
+
+
+def test_the_arm_is_found_in_courses_with_noise():
+    courses = staircase(np.random.default_rng(3), 1e-4)
+    found = arm_of(courses, CONTACTS)
+    assert found.frequency == pytest.approx(ARM.frequency, rel=0.01)
+    assert found.lag == pytest.approx(ARM.lag, rel=0.03)
+
+
+def test_an_arm_that_does_not_swing_is_none():
+    torque = 0.01 * LEVELS[None]
+    still = replace(staircase(), course=np.repeat(torque[:, :, None], PARTS, axis=2))
+    assert arm_of(still, CONTACTS) is None
+
+
+def test_moved_courses_have_what_all_steps_share_and_hardly_any_noise():
+    rng, noise = np.random.default_rng(5), 1e-4
+    courses = staircase(rng, noise)
+    step = np.diff(courses.torque, axis=1, prepend=0.0)[..., None]
+    shared = 0.02 * step * np.exp(-np.arange(PARTS) / 10)
+    true = staircase().course + shared
+    moved = ARM.moved(replace(courses, course=courses.course + shared), CONTACTS)
+    assert np.sqrt(np.mean((moved.course - true) ** 2)) < noise / 2
+    assert_allclose(moved.course + moved.dropped, courses.course + shared, atol=1e-15)
+    assert moved.noise[0] == pytest.approx(noise / len(LEVELS) ** 0.5, rel=0.2)

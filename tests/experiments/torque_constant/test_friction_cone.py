@@ -1,0 +1,42 @@
+"""What is possible for friction, against drawn values of which the impossible are left out."""
+
+import numpy as np
+import pytest
+
+from rigtool.experiments.torque_constant.friction_cone import possible
+
+CASES = [
+    ((1.0, 0.2), ((1.0, 0.3), (0.3, 0.5)), 9.0),
+    ((-1.0, 0.5), ((1.0, -0.3), (-0.3, 0.5)), 9.0),
+    ((0.5, 2.0), ((1.0, 0.3), (0.3, 0.5)), 9.0),
+    ((1.5, -0.2), ((2.0, 0.3), (0.3, 0.5)), 2.0),
+]
+
+
+@pytest.mark.parametrize(("mean", "covariance", "largest"), CASES)
+def test_probability_mean_and_covariance_are_those_of_what_is_possible(mean, covariance, largest):
+    drawn = np.random.default_rng(1).multivariate_normal(mean, covariance, 400_000)
+    f, h = drawn.T
+    kept = drawn[(f >= 0) & (f <= largest) & (np.abs(h) <= f)]
+    found = possible(np.array([mean]), np.array([covariance]), largest)
+    assert np.exp(found.logarithm[0]) == pytest.approx(len(kept) / len(drawn), rel=0.03)
+    np.testing.assert_allclose(found.shift[0], kept.mean(axis=0) - mean, atol=0.02)
+    np.testing.assert_allclose(found.covariance[0], np.cov(kept.T), atol=0.02)
+
+
+def test_friction_that_is_known_well_stays_as_it_is():
+    covariance = 1e-6 * np.array([[1.0, 0.3], [0.3, 0.5]])
+    found = possible(np.array([0.01, 0.002]), covariance, 0.05)
+    assert found.logarithm == pytest.approx(0.0, abs=1e-6)
+    np.testing.assert_allclose(found.shift, 0, atol=1e-9)
+    np.testing.assert_allclose(found.covariance, covariance, rtol=1e-3)
+
+
+@pytest.mark.parametrize("mean", [(-30.0, 0.0), (0.5, 30.0), (60.0, 0.0)])
+def test_what_is_impossible_is_finite_and_improbable(mean):
+    found = possible(np.array(mean), np.eye(2), 9.0)
+    assert np.isfinite(found.logarithm)
+    assert found.logarithm < -100
+    f, h = mean + found.shift
+    assert 0 <= f <= 9.0
+    assert abs(h) <= f
