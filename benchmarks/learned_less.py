@@ -23,6 +23,8 @@ from learned import Learned, instrument_of, judged, learned
 from numpy.typing import NDArray
 from oracle import MOTIONS, motion_states, record
 
+from rigtool.experiments.force_filter.motion_states import State
+
 LOADS, CYCLES, MOVES = "ilc_learn.loads.forces=", "ilc_learn.loads.cycles=", "ilc_learn.moves="
 LOAD_SPEEDS, SPEEDS = "ilc_learn.loads.speeds_rev_per_s=", "ilc_learn.speeds_rev_per_s="
 TIME = 40.0
@@ -81,9 +83,9 @@ def read_all(rig: str, seed: int, known: Learned) -> dict[str, list[Part]]:
             recorded = record(rig, seed, motion, TIME, contacts)
             used = motion_states(recorded)["all"]
             sensor = instrument_of(recorded, model, reach, constant)
-            for form, rows, _, error, u, _ in judged(recorded, sensor):
+            for form, rows, _, error, u, states in judged(recorded, sensor):
                 own = used[rows][: len(error)]
-                held, valued = error <= 1.96 * u, np.isfinite(error)
+                held, valued = error <= 1.96 * u, states != State.OUTSIDE
                 parts[form].append((error[own], held[own], valued[own]))
     return parts
 
