@@ -19,6 +19,7 @@ import argparse
 import math
 import pickle
 import tempfile
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
@@ -82,6 +83,9 @@ CONTACTS["sine"] = (
 Known = tuple[float, float]
 """Torque constant at 0 degC, N m/A, and its change per kelvin."""
 
+Learned = tuple[ForceModel, Reach, Known]
+"""The model, how far it was learned, and the torque constant."""
+
 COMPARED = (
     "presliding_angle",
     "housing_presliding_angle",
@@ -96,9 +100,8 @@ COMPARED = (
 """Parameters of a plant that are learned as such."""
 
 
-def learned(rig: str, seed: int, folder: Path) -> tuple[ForceModel, Reach, Known]:
-    """Calibrate and learn a rig, but for runs in the folder; return its model, how far it was
-    learned, and the torque constant."""
+def learned(rig: str, seed: int, folder: Path, overrides: Sequence[str] = ()) -> Learned:
+    """Calibrate and learn a rig, with settings of the learning, but for runs in the folder."""
     sets = () if rig == WARM else RIGS[rig]
     kt, tables = folder / "kt.h5", folder / "tables.h5"
     implementation = "ilc_learn.implementation=D"
@@ -112,7 +115,7 @@ def learned(rig: str, seed: int, folder: Path) -> tuple[ForceModel, Reach, Known
     if not kt.exists():
         run(CALIBRATE_KT, kt)
     if not tables.exists():
-        run(ILC_LEARN, tables, implementation, kt=kt)
+        run(ILC_LEARN, tables, implementation, *overrides, kt=kt)
     recipe, _ = load_recipe(RECIPE, list(RIGS[rig]))
     assert recipe.virtual is not None
     with open_run(tables) as stored, open_run(kt) as calibration:
@@ -157,23 +160,33 @@ def learned_scores(
     """Compare the estimate of a learned model with what truly acted."""
     states, found = motion_states(recorded), {}
     for band in BANDS:
-        one = read(instrument_of(recorded, model, reach, known, band), recorded)
-        rows = slice(None, None, one.every)
-        truth = recorded.truth[rows]
-        size = min(len(truth), len(one.time))
-        for form, estimate, u, own, reference in (
-            ("smoothed", one.torque, one.u, one.states, one.reference),
-            ("causal", one.causal, one.causal_u, one.causal_states, one.causal_reference),
-        ):
-            assert reference is not None
-            error = np.abs(estimate - reference)[:size]
+        instrument = instrument_of(recorded, model, reach, known, band)
+        for form, rows, _, error, u, own in judged(recorded, instrument):
             for state, chosen in states.items():
-                among = chosen[rows][:size]
-                found[motion, form, band, state] = score(error[among], u[:size][among])
-            for cell, inside in _cells(truth[:size], own[:size]).items():
-                among = inside & states["all"][rows][:size]
-                found[motion, form, band, cell] = score(error[among], u[:size][among])
+                among = chosen[rows][: len(error)]
+                found[motion, form, band, state] = score(error[among], u[among])
+            for cell, inside in _cells(recorded.truth[rows][: len(error)], own).items():
+                among = inside & states["all"][rows][: len(error)]
+                found[motion, form, band, cell] = score(error[among], u[among])
     return found
+
+
+Judged = tuple[str, slice, Array, Array, Array, NDArray[np.integer]]
+"""Form, rows among the filter's steps; torque, error, u and state of each, (n,)."""
+
+
+def judged(recorded: Recorded, instrument: SensorProperties) -> Iterator[Judged]:
+    """Compare both forms of the torque that a sensor reads with what truly acted."""
+    one = read(instrument, recorded)
+    rows = slice(None, None, one.every)
+    size = min(len(recorded.truth[rows]), len(one.time))
+    for form, estimate, u, own, reference in (
+        ("smoothed", one.torque, one.u, one.states, one.reference),
+        ("causal", one.causal, one.causal_u, one.causal_states, one.causal_reference),
+    ):
+        assert reference is not None
+        error = np.abs(estimate - reference)
+        yield form, rows, estimate[:size], error[:size], u[:size], own[:size]
 
 
 def read(instrument: SensorProperties, recorded: Recorded) -> TorqueRows:
@@ -195,27 +208,29 @@ def _cells(truth: Array, states: NDArray[np.integer]) -> dict[str, NDArray[np.bo
     return {name: (band == number) & (states == state) for number, state, name in cells()}
 
 
-def amplitude(
-    recorded: Recorded, model: ForceModel, known: Known, reach: Reach
-) -> dict[str, float]:
-    """Return the amplitude that is read of a sine of `SINE_HZ`, over the true one."""
-    one = read(instrument_of(recorded, model, reach, known, SINE_HZ), recorded)
-    truth = recorded.truth[:: one.every]
-    size, rate = min(len(truth), len(one.time)), 1 / one.step_time
-    span = round(rate)
-    wave, count = np.exp(-2j * np.pi * SINE_HZ * np.arange(size) / rate), size // span
-    found = {}
-    for form, estimate in (("smoothed", one.torque), ("causal", one.causal)):
-        own, true = (
-            (values[:size] * wave)[: count * span].reshape(count, span).mean(axis=1)
-            for values in (estimate, truth)
-        )
-        acts = np.abs(true) > 0.5 * np.abs(true).max()
-        found[form] = float(np.abs(own[acts]).sum() / np.abs(true[acts]).sum())
-    return found
+def amplitudes(
+    recorded: Recorded, instrument: SensorProperties, hz: float
+) -> Iterator[tuple[str, float]]:
+    """Yield each form, and the amplitude that it reads of a sine of a frequency, Hz, over the
+    true one."""
+    for form, rows, torque, *_ in judged(recorded, instrument):
+        rate = 1 / (STEP * rows.step * recorded.recipe.rig.sample_time)
+        yield form, amplitude(torque, recorded.truth[rows], hz, rate)
 
 
-def learned_in(store: Path | None, rig: str, seed: int) -> tuple[ForceModel, Reach, Known]:
+def amplitude(torque: Array, truth: Array, hz: float, rate: float) -> float:
+    """Return the amplitude of a sine of `hz` that is read (n,) over the true one (n,) at a rate."""
+    size, span = len(torque), round(rate)
+    wave, count = np.exp(-2j * np.pi * hz * np.arange(size) / rate), size // span
+    own, true = (
+        (values[:size] * wave)[: count * span].reshape(count, span).mean(axis=1)
+        for values in (torque, truth)
+    )
+    acts = np.abs(true) > 0.5 * np.abs(true).max()
+    return float(np.abs(own[acts]).sum() / np.abs(true[acts]).sum())
+
+
+def learned_in(store: Path | None, rig: str, seed: int) -> Learned:
     """Return `learned` from a store by rig and seed, which it keeps, or from nothing."""
     if store is None:
         with tempfile.TemporaryDirectory() as folder:
@@ -237,7 +252,7 @@ def measured(rig: str, seed: int, duration: float, store: Path | None) -> Found:
             oracle.update(scores(recorded, motion))
     over = _over_truth(model, recorded)
     swung = record(rig, seed, "strokes", SINE_TIME, "sine")
-    for form, value in amplitude(swung, model, known, reach).items():
+    for form, value in amplitudes(swung, instrument_of(swung, model, reach, known), SINE_HZ):
         over[f"sine of {SINE_HZ:g} Hz, {form}"] = value
     for kind, name in [
         *((state, STATE_NAMES[state]) for state in JUDGED_STATES),

@@ -379,14 +379,19 @@ Key = tuple[str, str, float, str]
 
 def scores(recorded: Recorded, motion: str) -> Iterator[tuple[Key, Score]]:
     """Compare the oracle with what truly acted."""
-    rate = 1 / (STEP * recorded.recipe.rig.sample_time)
     states = motion_states(recorded)
     for band in BANDS:
-        for form, (torque, deviation) in estimates(recorded, band).items():
-            truth = lowpassed(recorded.truth, band, rate, form == "smoothed")
-            error = np.abs(torque - truth)
+        for form, _, error, deviation in judged(recorded, band):
             for state, chosen in states.items():
                 yield (motion, form, band, state), score(error[chosen], deviation[chosen])
+
+
+def judged(recorded: Recorded, band: float) -> Iterator[tuple[str, Array, Array, Array]]:
+    """Yield each form, and the oracle's torque in it, errors and standard deviations, (m,) N m."""
+    rate = 1 / (STEP * recorded.recipe.rig.sample_time)
+    for form, (torque, deviation) in estimates(recorded, band).items():
+        truth = lowpassed(recorded.truth, band, rate, form == "smoothed")
+        yield form, torque, np.abs(torque - truth), deviation
 
 
 def score(error: Array, deviation: Array) -> Score:

@@ -157,8 +157,8 @@ def _of_this_mounting(
                 f"strokes to and fro disagree {found:.1f} times as much{whose} as in the runs that "
                 f"{tables.path} was learned from, {most:.1f} times at most is by chance: these "
                 "runs are of another instrument or mounting, or of loads or speeds unlike the "
-                "learned ones: learn tables from runs of this mounting (two loads are enough with "
-                "--prior)"
+                "learned ones: learn tables from runs of this mounting, under three loads or more "
+                "(two with --prior, where there is no third)"
             )
     factors = np.where(np.nan_to_num(misfits) > doubted[0], misfits, 1.0)
     if together > doubted[1]:
