@@ -215,7 +215,7 @@ docs: $(INSTALLED)
 	$(BIN)/python -m sphinx -b html -W --keep-going -n -q docs $(BUILD)/docs
 
 fixtures: $(INSTALLED)
-	$(BIN)/python tests/fixtures/make.py
+	$(BIN)/python -m tests.fixtures.make
 
 bench: $(INSTALLED)
 	$(BIN)/python benchmarks/bench.py

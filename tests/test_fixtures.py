@@ -7,22 +7,24 @@ import pytest
 
 from rigtool.runfile import open_run
 from tests.cli.called import call
-from tests.fixtures.make import HERE, RESULTS, STEPS, TABLES, digests
+from tests.fixtures.make import AGAIN, HERE, RESULTS, STEPS, TABLES, digests
+from tests.fixtures.make import line as command_line
 
 REFERENCES = json.loads(RESULTS.read_text())
 COLUMNS = json.loads(TABLES.read_text())
 ROUNDING = 1e-4
 """Part of the rms of a column by which it may differ on another processor."""
+ZERO = 1e-15
+"""What rounding leaves of a column that is zero, in any unit."""
 
 
-@pytest.fixture(params=STEPS)
+@pytest.fixture(params=AGAIN)
 def analysed(request, tmp_path, monkeypatch, capsys):
-    """Run the command of a fixture on it; return the fixture's name, the JSON it printed, the
-    results that it stored, and digests of the columns of its tables."""
-    command, *inputs = STEPS[request.param]
+    """Run a command on stored signals; return its name, the JSON it printed, the results that it
+    stored, and digests of the columns of its tables."""
     output = tmp_path / "again.h5"
     monkeypatch.chdir(HERE)
-    line = [command, f"{request.param}.h5", *inputs, "-o", output, "--json"]
+    line = [*command_line(request.param, tmp_path), "-o", output, "--json"]
     code, out, err = call(capsys, *line)
     assert code == 0, err
     assert output.exists()
@@ -35,6 +37,8 @@ def test_results_are_those_stored_beside_the_fixture(analysed):
     name, printed, stored, columns = analysed
     for result, quantity in stored.items():
         total = math.hypot(*(line.contribution for line in quantity.budget))
+        if name.startswith("imported") and not quantity.budget:
+            continue
         assert math.isclose(total, quantity.u or 0.0, rel_tol=1e-9), f"budget of {result}"
     expected = REFERENCES[name]
     assert set(printed["results"]) == set(expected)
@@ -57,7 +61,7 @@ def test_results_are_those_stored_beside_the_fixture(analysed):
     assert set(columns) == set(expected)
     for column, (unit, count, *reference) in expected.items():
         assert columns[column][:2] == [unit, count], column
-        slack = ROUNDING * math.hypot(*reference[:2])
+        slack = ROUNDING * math.hypot(*reference[:2]) + ZERO
         assert columns[column][2:] == pytest.approx(reference, rel=0, abs=slack), column
 
 
