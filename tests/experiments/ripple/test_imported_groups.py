@@ -61,6 +61,13 @@ def test_repeats_are_of_one_condition_and_speed_within_a_tenth():
     ]
 
 
+def test_a_group_of_three_has_the_means_of_what_they_sample_by():
+    own = [turns(speed, step=step) for speed, step in ((3.0, 0.01), (3.1, 0.02), (3.05, 0.06))]
+    (group,) = groups_of([recording() for _ in own], own)
+    assert group.sampling.step == pytest.approx(0.03)
+    assert group.speed == pytest.approx(3.05)
+
+
 def test_a_gap_limits_the_orders_to_half_a_cycle_in_it():
     own = turns(3.0, 1.0, orders=20)
     own.torque[:, 10:15] = np.nan  # a tenth of a turn
