@@ -10,9 +10,9 @@ removed; a condition that always holds or never; arguments, entries of a tuple o
 exchanged; a named argument left out; a sign of what is returned (`variants`). It is made in a copy
 of the tree; the tests of the file run first, then those of its room, then others that import it, by
 themselves or by what they share, and `tests/test_fixtures.py`, where commands analyse stored runs.
-A mutation that all of them pass survives. Not changed are named
-limits at the top of a module, which are a judgement, texts of messages, and annotations (R. A.
-DeMillo, R. J. Lipton, F. G. Sayward, Computer 11(4), 34, 1978).
+A mutation that all of them pass survives. Not changed are named limits at the top of a module,
+which are a judgement, texts of messages, and annotations (R. A. DeMillo, R. J. Lipton, F. G.
+Sayward, Computer 11(4), 34, 1978).
 """
 
 from __future__ import annotations
