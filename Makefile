@@ -14,6 +14,7 @@
 # make coverage       whether stated intervals hold, on virtual rigs drawn anew
 # make coverage-short five minutes of it, with an exit code
 # make fixtures       the runs in tests/fixtures, stored anew
+# make references     what the runs in tests/fixtures are compared with, analysed anew
 # make release-check  tests, site, source distribution, wheel: what a release needs
 # make clean          removes build
 # make help           shows this list
@@ -38,7 +39,7 @@ RUNS := $(addprefix $(BUILD)/,kt.h5 friction.h5 ripple.h5 \
 # Without byte code on disk every command compiles its modules anew: a start takes twice as long.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: pages real-data tables corrected over-time thesis test test-lowest docs fixtures bench accuracy coverage coverage-short attack release-check clean help
+.PHONY: pages real-data tables corrected over-time thesis test test-lowest docs fixtures references bench accuracy coverage coverage-short attack release-check clean help
 .DELETE_ON_ERROR:
 
 # The longest chains first: with two jobs both cores have work until the report.
@@ -215,7 +216,10 @@ docs: $(INSTALLED)
 	$(BIN)/python -m sphinx -b html -W --keep-going -n -q docs $(BUILD)/docs
 
 fixtures: $(INSTALLED)
-	$(BIN)/python tests/fixtures/make.py
+	$(BIN)/python -m tests.fixtures.make
+
+references: $(INSTALLED)
+	$(BIN)/python -m tests.fixtures.make --analyse
 
 bench: $(INSTALLED)
 	$(BIN)/python benchmarks/bench.py

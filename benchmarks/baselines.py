@@ -83,7 +83,7 @@ def left_over(run: Run, kt: Run) -> dict[str, dict[float, float]]:
 
     def rows(kind: str) -> list[Row]:
         items = (bare_motor.turned(r, recipe, constant) for r in common.found(run, kind))
-        return [bare_motor.learned_by(item, learning, counts, first=True) for item in items]
+        return [bare_motor.learned_by(item, learning, counts) for item in items]
 
     taught, judged = [], []
     for row in rows("learn"):

@@ -9,9 +9,11 @@ comparison, number, default, slice or function name; `abs` and its like taken aw
 removed; a condition that always holds or never; arguments, entries of a tuple or values of a table
 exchanged; a named argument left out; a sign of what is returned (`variants`). It is made in a copy
 of the tree; the tests of the file run first, then those of its room, then others that import it, by
-themselves or by what they share. A mutation that all of them pass survives. Not changed are named
-limits at the top of a module, which are a judgement, texts of messages, and annotations (R. A.
-DeMillo, R. J. Lipton, F. G. Sayward, Computer 11(4), 34, 1978).
+themselves, by what they share or by a module of an experiment that they name, and last
+`tests/test_fixtures.py`, where commands analyse stored runs.
+A mutation that all of them pass survives. Not changed are named limits at the top of a module,
+which are a judgement, texts of messages, and annotations (R. A. DeMillo, R. J. Lipton, F. G.
+Sayward, Computer 11(4), 34, 1978).
 """
 
 from __future__ import annotations
@@ -249,14 +251,17 @@ def mutation(path: Path, number: int) -> Mutation:
 
 def tests_of(place: str, tree: Path) -> list[str]:
     """Return the tests of a file below `rigtool`, then others that name it, then those of its room,
-    then those that import it by what tests share."""
+    those that import it by what tests share, those that name a module of an experiment which
+    imports it, and stored runs that commands analyse again."""
     file = Path("tests", place)
     own, room = file.with_name(f"test_{file.name}"), file.parent
     while not any((tree / room).glob("test_*.py")):
         room = room.parent
     here = {path.relative_to(tree) for path in (tree / room).glob("test_*.py")}
     naming, importing = _importing(place, tree)
-    groups = [{own} if (tree / own).exists() else set(), naming, here, importing]
+    using = _of_users(place, tree)
+    stored = {Path("tests/test_fixtures.py")}
+    groups = [{own} if (tree / own).exists() else set(), naming, here, importing, using, stored]
     return [
         " ".join(map(str, sorted(group.difference(*groups[:n]))))
         for n, group in enumerate(groups)
@@ -275,6 +280,16 @@ def _importing(place: str, tree: Path) -> tuple[set[Path], set[Path]]:
         found.append(using)
     tests = [{path for path in using if _is_test(path)} for using in found]
     return tests[0], set().union(*tests)
+
+
+def _of_users(place: str, tree: Path) -> set[Path]:
+    """Return the tests that name a module of an experiment which imports a file below `rigtool`."""
+    own, modules = "rigtool." + _dotted(Path(place)), (tree / "rigtool/experiments").rglob("*.py")
+    users = {
+        _dotted(m.relative_to(tree)) for m in modules if f"{own} import" in m.read_text("utf-8")
+    }
+    tests = {p.relative_to(tree): p.read_text("utf-8") for p in (tree / "tests").rglob("test_*.py")}
+    return {path for path, text in tests.items() if any(f"{name} import" in text for name in users)}
 
 
 def _is_test(path: Path) -> bool:

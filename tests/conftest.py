@@ -14,6 +14,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import pytest
 from hypothesis import Phase, settings
 
+# In SI units a variance may be 1e-12: by default, pytest.approx takes any number that small for any
+# other. A relative tolerance is one, unless zero is expected.
+type(pytest.approx(1.0)).DEFAULT_ABSOLUTE_TOLERANCE = property(
+    lambda one: 0.0 if one.expected else 1e-12
+)
+
 # Imports make many objects and no garbage; until all tests are collected, nothing looks for some.
 gc.disable()
 

@@ -84,7 +84,7 @@ def fit_angle_effects(
     x, y = design / u[:, None], value / u
     z = waves * (size / u)[:, None]
     # Amplitudes of interest are near the scatter that X leaves.
-    rest = value - design @ np.linalg.lstsq(x, y, rcond=None)[0]
+    rest = value - design @ np.linalg.lstsq(x, y)[0]
     spread = max(float(np.sqrt(np.mean(rest**2))), float(np.min(u)))
     amplitude = spread * np.geomspace(1 / 30, LARGEST_DEVIATION, AMPLITUDE_COUNT)
     parts = [_given(x, y, z[:, : 2 * order], amplitude) for order in highest]

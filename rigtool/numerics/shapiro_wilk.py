@@ -42,9 +42,7 @@ def p_value(ordered: Array) -> float:
         return min(max(6 / math.pi * side, 0.0), 1.0)
     y = math.log(max(left, 1e-300))
     if count < 12:
-        gamma = -2.273 + 0.459 * count
-        if y >= gamma:
-            return 0.0
+        gamma = -2.273 + 0.459 * count  # above y: W is never below n a^2/(n - 1) of the largest a
         y, (mean, spread) = -math.log(gamma - y), (polyval(count, c) for c in FEW_VALUES)
     else:
         mean, spread = (polyval(math.log(count), c) for c in MANY_VALUES)

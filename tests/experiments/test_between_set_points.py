@@ -100,3 +100,10 @@ def test_ripple_says_it(tmp_path, monkeypatch):
     notes = run(FFT_RIPPLE, RECIPE, tmp_path / "ripple.h5", *sets, *more, kt=KT).notes
     (note,) = [note for note in notes if said in note]
     assert float(note.rpartition(" ")[2]) == pytest.approx(0.0455, rel=0.03)
+
+
+@pytest.mark.parametrize(("stepping", "expected"), [((False, False), False), ((True, False), True)])
+def test_a_drive_stepped_where_any_run_says_so(stepping, expected):
+    lines = [json.dumps({"steps_in_position": one}) for one in stepping]
+    runs = [SimpleNamespace(provenance={"line": one}) for one in lines]
+    assert UnsampledCurrent.of(runs).stepping == expected

@@ -1,10 +1,13 @@
 """The conversion from set point to torque."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from rigtool.errors import RunFileError
 from rigtool.experiments.torque_per_ampere import (
+    END_SAMPLES,
     effort_of,
     mean_constant,
     temperature_at_ends,
@@ -14,6 +17,7 @@ from rigtool.experiments.torque_per_ampere import (
 )
 from rigtool.quantity import Quantity
 from rigtool.runfile import Channel, RecordingSpec, RunWriter, open_run
+from rigtool.runfile.schema import CHUNK
 
 
 def calibration(path, command="calibrate-kt", **more):
@@ -197,3 +201,16 @@ def test_only_a_calibration_has_a_constant(tmp_path):
         pytest.raises(RunFileError, match="calibrate-kt"),
     ):
         torque_per_ampere(run)
+
+
+@pytest.mark.parametrize("size", [600, CHUNK, CHUNK + 1, 3 * CHUNK])
+def test_ends_are_the_first_and_the_last_samples_of_any_recording(size):
+    degc = np.arange(float(size))
+
+    def blocks(name, *, start, stop, finite):
+        return [(part,) for part in np.array_split(degc[start:stop], 3)]
+
+    recording = SimpleNamespace(size=size, has=lambda name: True, blocks=blocks)
+    count = min(size, END_SAMPLES)
+    expected = degc[:count].mean(), degc[-count:].mean()
+    assert temperature_at_ends(recording) == pytest.approx(expected)

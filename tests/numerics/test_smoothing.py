@@ -102,3 +102,14 @@ def test_time_that_is_mostly_gaps_is_refused():
     time = np.concatenate([np.arange(100) * STEP, 1000 + np.arange(100) * STEP])
     with pytest.raises(InsufficientDataError, match=r"gaps up to 1e\+03 s"):
         resample(time, time)
+
+
+@pytest.mark.parametrize(("part", "counted"), [(0.005, True), (0.02, False)])
+def test_steps_are_counts_where_all_but_a_hundredth_are_whole(part, counted):
+    steps = np.full(20000, 0.01)
+    steps[:: round(1 / part)] *= 1.5
+    position = np.cumsum(steps)
+    white = np.mean(np.diff(position, 4) ** 2) / 70 * STEP
+    expected = 0.01**2 / 12 * STEP if counted else white
+    assert white < 0.01**2 / 12 * STEP / 10
+    assert position_noise(position, STEP) == pytest.approx(expected, rel=0.02)

@@ -127,7 +127,7 @@ def _slopes(first: Array, second: Array, values: Array) -> tuple[float, float]:
     """
     a, b = first - first.mean(), second - second.mean()
     gram = np.array([[a @ a, a @ b], [a @ b, b @ b]])
-    slopes = np.linalg.lstsq(gram, np.array([a @ values, b @ values]), rcond=None)[0]
+    slopes = np.linalg.lstsq(gram, np.array([a @ values, b @ values]))[0]
     return float(slopes[0]), float(slopes[1])
 
 

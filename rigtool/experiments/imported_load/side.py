@@ -355,7 +355,7 @@ def _fit_scatter(residual: Array, speed: Array, torque: Array) -> Array:
     """Return how the logarithm of the residual's variance goes, (3,), see `Side`."""
     floor = 1e-6 * float(np.mean(residual**2)) + 1e-300
     logarithm = np.log(residual**2 + floor) + LOG_CHI2
-    return np.asarray(np.linalg.lstsq(scatter_rows(speed, torque), logarithm, rcond=None)[0])
+    return np.asarray(np.linalg.lstsq(scatter_rows(speed, torque), logarithm)[0])
 
 
 def prior_of(prior: Side, names: Sequence[str], size: Array, penalty: Array) -> tuple[Array, Array]:

@@ -77,8 +77,7 @@ class MeasuredLoop:
         return doubt
 
     def _places(self, frequency: Array) -> tuple[Array, Array]:
-        lowest = self.frequency[0] * 1e-9
-        at = np.log(np.maximum(np.asarray(frequency, dtype=np.float64), lowest))
+        at = np.log(np.maximum(frequency, self.frequency[0]))  # below it, all is as there
         return at, np.log(self.frequency)
 
 
@@ -101,8 +100,8 @@ class InverseResponse:
 
     def response(self, frequency: Array, *, shifted: bool = True) -> ComplexArray:
         """Return L (n,) at these frequencies, Hz."""
-        octaves = np.log2(np.maximum(np.asarray(frequency), 1e-9 * self.last_line) / self.last_line)
-        window = 0.5 + 0.5 * np.cos(np.pi * np.clip(octaves, 0, 1))
+        octaves = np.log2(np.clip(np.asarray(frequency) / self.last_line, 1, 2))
+        window = 0.5 + 0.5 * np.cos(np.pi * octaves)
         inverse = np.zeros(len(window), dtype=np.complex128)
         kept = window > 0
         t = self.measured.complementary_sensitivity(np.asarray(frequency)[kept])

@@ -40,7 +40,7 @@ def map_orders(position: Array, values: Array, orders: int) -> ComplexArray:
     order = np.arange(1, orders + 1)
     turning = np.exp(1j * np.outer(angle, order))
     design = np.column_stack([np.ones(len(angle)), turning.real, -turning.imag])
-    found = np.linalg.lstsq(design, value, rcond=None)[0]
+    found = np.linalg.lstsq(design, value)[0]
     return found[1 : orders + 1] + 1j * found[orders + 1 :]
 
 

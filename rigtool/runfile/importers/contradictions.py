@@ -229,7 +229,7 @@ def _sign_of_work(signals: Mapping[str, Array], rig: mappings.ImportedRig) -> st
     if min(np.count_nonzero(moved[used] > 0), np.count_nonzero(moved[used] < 0)) < FEWEST_BLOCKS:
         return None
     design = np.column_stack([np.sign(moved), np.gradient(moved), np.ones(BLOCKS)])[used]
-    found = np.linalg.lstsq(design, means[used], rcond=None)[0]
+    found = np.linalg.lstsq(design, means[used])[0]
     rms = float(np.std(means[used] - design @ found))
     u = rms * math.sqrt(float(np.linalg.pinv(design.T @ design)[0, 0]))
     if found[0] >= -CERTAIN * u:

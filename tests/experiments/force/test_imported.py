@@ -61,7 +61,7 @@ def run(torque=0.03, low=2.0, high=12.0, apart=0.0, noisier=1.0, seed=1):
     return signals, apart, noisier
 
 
-def model(recordings=6, offset=0.1, elsewhere=1.0, between=1.0):
+def model(recordings=6, offset=0.1, elsewhere=1.0, between=1.0, change=None):
     """Torque is 3 mN m per rad from the learned end, beyond 13 rad none."""
 
     def estimate(path, apart=0.0, noisier=1.0):
@@ -81,7 +81,7 @@ def model(recordings=6, offset=0.1, elsewhere=1.0, between=1.0):
         read=lambda signals: estimate(signals.path),
         estimate=estimate,
         elsewhere=lambda path: path.position.min() > 2.5,
-        paces=SimpleNamespace(change=lambda pace: 0.5),
+        paces=SimpleNamespace(change=lambda pace: 0.5 if change is None else change.pop()),
         sides=[
             SimpleNamespace(elsewhere=1.0, at_other_speeds=lambda share: 1 + share * (between - 1)),
             SimpleNamespace(elsewhere=elsewhere, at_other_speeds=lambda share: 1.0),
@@ -282,3 +282,10 @@ def test_speeds_that_were_not_learned_are_noted():
         said.append([note for note in notes if "speeds of which none was learned" in note])
     assert said[0] == []
     assert "up to 1.4 times" in said[1][0]
+
+
+def test_the_note_is_of_the_speed_farthest_from_the_learned_ones():
+    own = model(between=1.8, change=[0.2, 0.0, 0.5])
+    given = measured(own, run(), run(), run())
+    notes = imported._require_inside(given, own)
+    assert sum("strokes of 2 runs have speeds of" in n and "1.4 times" in n for n in notes) == 1

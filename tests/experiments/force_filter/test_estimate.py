@@ -66,8 +66,10 @@ def recording():
 def test_a_current_that_passes_zero_is_no_motor_without_current():
     time = STEP * PLANT.sample_time
     needed, rng = round(estimate.IDLE_TIME / time), np.random.default_rng(5)
-    lasting = [needed // 2, 1, needed - 1, 1, needed + 3, 2, 4 * needed]  # without, with, ...
-    idle = np.repeat(np.resize([True, False], len(lasting)), np.array(lasting) * STEP)
+    lasting = np.array([needed // 2, 1, needed - 1, 1, needed + 3, 2, 4 * needed, 1]) * STEP
+    later = [(needed + 3) * STEP, STEP + 1] * STEP  # without and with, from each sample of a step
+    lasting = np.concatenate([lasting, later])
+    idle = np.repeat(np.resize([True, False], len(lasting)), lasting)
     nothing, rest = np.zeros(len(idle)), np.full(len(idle), WIDTH)
     found, run, filtered, at = [], needed, [], 0
     for none in (idle[k] and idle[k - 1] for k in range(STEP, len(idle), STEP)):

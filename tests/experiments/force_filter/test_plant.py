@@ -53,7 +53,7 @@ def test_the_bearings_bristle_is_shorter_at_rest_than_beyond_stribecks_velocity(
         x = np.zeros(STATES)
         x[SPEED] = speed
         path = speed * PLANT.sample_time
-        assert step(PLANT, x)[BRISTLE] == pytest.approx(dahl(0.0, path, part * 2e-3), rel=1e-9)
+        assert step(PLANT, x)[BRISTLE] == pytest.approx(dahl(0.0, path, part * 2e-3), rel=2e-6)
 
 
 @settings(deadline=None, max_examples=100)

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
+from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_filter.motion_states import KIND_COUNT, Reach, State
 from rigtool.experiments.force_sensor.procedure_reading import _interval, unbroken_blocks
 from rigtool.experiments.force_sensor.response import (
@@ -250,6 +251,16 @@ def test_blocks_hold_all_that_has_no_gap_and_is_long_enough(seed, referred):
             last = np.searchsorted(channels[0], part[-1]) + 1
             first = np.searchsorted(channels[0], part[0])
             assert last in edges or first in edges or any(first < e < last for e in edges)
+
+
+@pytest.mark.parametrize("at", [1, 4999, 5000, 5001, 12000])
+def test_a_time_that_falls_back_is_named_by_its_sample(at):
+    recording = stored(1, size=20_000)
+    time = recording.channels["time"] = 1e-3 * np.arange(20_000)
+    time[at:] -= 1e-3
+    recording.lengths = [5000, 1, 4999, 10_000]
+    with pytest.raises(InsufficientDataError, match=f"does not rise at sample {at} "):
+        list(unbroken_blocks(recording, instrument(interval=1e-3, loop_time=1e-3)))
 
 
 @pytest.mark.parametrize(

@@ -107,6 +107,13 @@ def test_a_current_that_is_cut_off_has_no_value_there(commanded):
     assert first.no_value == commanded
 
 
+def test_a_current_that_is_cut_off_at_last_has_no_value_until_the_end():
+    encoder, current = strokes()
+    current += 0.2 * np.cos(3 * (8 - TIME))
+    *_, last = faults(encoder, np.minimum(current, 0.35), commanded=True)
+    assert last.end == pytest.approx(8, abs=0.03)
+
+
 def test_a_current_of_few_steps_is_not_cut_off():
     encoder, current = strokes()
     assert faults(encoder, 0.1 * np.round(current / 0.1), commanded=True) == ()

@@ -240,11 +240,14 @@ def test_a_fit_states_what_it_leaves_and_explains():
 
 def test_noise_of_the_acceleration_draws_the_inertia_towards_zero():
     """By its part of what the others leave of the acceleration: that much counts as uncertainty."""
-    quiet, noisy = (replace(motion(), noise=(0.0, size)) for size in (0.0, 20.0))
+    own = motion()
+    own.design[:, 0] += 5 * own.design[:, 1]  # an acceleration that goes with the speed in part
+    quiet, noisy = (replace(own, noise=(0.0, size)) for size in (0.0, 20.0))
     before, after = found_of([quiet]), found_of([noisy])
     design = weighted([quiet])[0][:, :4]
     others = design[:, 1:]
     rest = design[:, 0] - others @ np.linalg.lstsq(others, design[:, 0], rcond=None)[0]
+    assert np.sum(rest**2) < 0.9 * np.sum(design[:, 0] ** 2)
     share = quiet.used.sum() * SPACING * 20.0**2 / np.sum(rest**2)
     more = (share * before.parameters[0]) ** 2
     assert after.covariance[0, 0] - before.covariance[0, 0] == pytest.approx(more, rel=1e-6)

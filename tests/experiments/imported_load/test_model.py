@@ -605,3 +605,12 @@ def test_dead_bands_of_loads_beyond_the_learned_ones_have_no_value(learned):
         hidden = np.isin(found.states, (State.STILL, State.REVERSED))
         apart = np.abs(found.torque - item.sensor) > math.sqrt(3) * found.u
         assert not (apart & hidden).any()
+
+
+@pytest.mark.parametrize(("rate", "size"), [(60.0, 1), (99.0, 1), (100.0, 2), (1000.0, 20)])
+def test_means_leave_as_many_samples_a_second_as_rows_need(rate, size):
+    """Five a period of the bandwidth of 5 Hz are fewer than 50 rows/s."""
+    time = np.arange(round(6 * rate)) / rate
+    path, _ = path_of(time, np.sin(time), 5.0, time)
+    assert len(path.fine_position) == len(time) // size
+    assert path.rate == pytest.approx(rate / size)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scipy.stats import sem
 
 from rigtool.experiments.learning.rows import Row
 from rigtool.experiments.learning.speed_tuning import best_shift, tune, written_out
@@ -112,3 +113,11 @@ def test_the_best_shift_is_the_true_one_without_noise(shift, near):
     wave = np.array([0.4, 1.0 + 1.0j, 0.0, 0.1j])
     turned = wave * np.exp(1j * np.arange(1, 5) * shift)
     assert best_shift(wave, turned, near, math.pi / 2) == pytest.approx(shift, rel=0, abs=1e-9)
+
+
+def test_u_of_an_amplitude_is_that_of_a_mean_of_turns():
+    other = row(12.0, 0.7, 0.2, noise=1e-4, seed=3)
+    found = tune(row(6.0, noise=0.0), [other])
+    pattern = shape(POSITION + found.shift[1])
+    each = other.moves @ pattern / (pattern @ pattern)
+    assert found.amplitude_u[1] == pytest.approx(sem(each), rel=1e-6)

@@ -17,7 +17,7 @@ from rigtool.experiments.ripple.orders import (
     Spectrum,
     spectrum,
 )
-from rigtool.quantity import Quantity
+from rigtool.quantity import Quantity, combined, error_line
 
 
 def recording(setpoint=None, **conditions):
@@ -59,6 +59,13 @@ def test_repeats_are_of_one_condition_and_speed_within_a_tenth():
         "compensation 0, 3.15 rad/s",
         "compensation 1, 3 rad/s",
     ]
+
+
+def test_a_group_of_three_has_the_means_of_what_they_sample_by():
+    own = [turns(speed, step=step) for speed, step in ((3.0, 0.01), (3.1, 0.02), (3.05, 0.06))]
+    (group,) = groups_of([recording() for _ in own], own)
+    assert group.sampling.step == pytest.approx(0.03)
+    assert group.speed == pytest.approx(3.05)
 
 
 def test_a_gap_limits_the_orders_to_half_a_cycle_in_it():
@@ -104,6 +111,22 @@ def test_u_is_the_scatter_of_amplitudes_and_what_an_alias_may_hide():
     hidden = repeated(np.tile(wave, (4, 1)), leak).u
     assert hidden[2] == pytest.approx(0.8 * 0.5 / math.sqrt(3), rel=1e-3)
     assert hidden[5] == pytest.approx(0, abs=1e-9)
+
+
+def test_degrees_of_freedom_are_those_of_the_turns_and_more_where_an_alias_may_hide():
+    rows = np.random.default_rng(3).normal(0, 0.5, (7, WAVEFORM_CELLS))
+    np.testing.assert_allclose(repeated(rows).dof, 12, rtol=1e-9)  # two for each repeat
+    leak = np.full(20, 0.9)
+    group = repeated(rows, leak)
+    found = group.spectra["torque"]
+    for order, dof in enumerate(group.dof):
+        hidden = 0.9 * found.amplitude[order] / math.sqrt(3)
+        lines = [
+            error_line("scatter", found.u[order], "N m", 12),
+            error_line("alias", hidden, "N m"),
+        ]
+        assert dof == pytest.approx(combined(0.0, "N m", lines).dof)
+    assert np.isinf(repeated(rows[:1], leak).dof).all()
 
 
 def test_of_noise_alone_one_order_stands_out_on_average():

@@ -8,9 +8,13 @@ import pytest
 from pydantic import BaseModel
 
 from rigtool.cli import main
-from rigtool.errors import RigtoolError
+from rigtool.errors import RigtoolError, UsageError
 from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
+from rigtool.experiments.force_sensor.procedure_over_time import over_time
+from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
+from rigtool.experiments.learning.check.procedure import PROCEDURE as ILC_CHECK
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
+from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
 from rigtool.experiments.running.dry_run import rehearse
 from rigtool.experiments.suspension.procedure import PROCEDURE as SUSPENSION
 from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
@@ -160,3 +164,21 @@ def test_settings_of_every_procedure_are_keys_of_the_recipe():
     recipe, _ = load_recipe(RECIPE)
     for key, value in OTHER.items():
         assert override_recipe(recipe, [f"{key}={json.dumps(value)}"]) != recipe
+
+
+@pytest.mark.parametrize(
+    "procedure",
+    [
+        STRIBECK,
+        FFT_RIPPLE,
+        ILC_LEARN,
+        ILC_CHECK,
+        MEASURE_FORCE,
+        over_time(5.0, observed=False),
+        over_time(5.0, observed=True),
+    ],
+)
+def test_what_states_torque_needs_a_calibration(procedure, tmp_path):
+    with pytest.raises(UsageError, match="--kt is missing"):
+        run(procedure, RECIPE, tmp_path / "out.h5")
+    assert not list(tmp_path.iterdir())

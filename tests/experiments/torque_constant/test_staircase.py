@@ -149,3 +149,26 @@ def test_an_amplifier_is_a_line_through_means_of_levels(bend):
     # the largest of n is too large by up to sqrt(2 ln n) of them
     expected = np.hypot(own_u, own_u * np.sqrt(2 * np.log(alike)))
     assert found.deviation_u == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("samples", [10, 11])
+def test_a_plateau_has_three_settled_samples_at_least(samples):
+    """The first eight, within 0.08 s, are left out."""
+    level = np.repeat(np.arange(10.0), samples)
+    time = 0.01 * np.arange(level.size)
+    late = np.tile(np.arange(samples) >= 8, 10)
+    signals = {
+        "time": time,
+        "current_setpoint": level,
+        "current": level,
+        "force": np.where(late, 2 * level, 100.0),
+        "temperature": np.full(level.size, 20.0),
+        "rotor_angle": None,
+    }
+    if samples < 11:
+        with pytest.raises(InsufficientDataError, match="has 0 plateaus longer than"):
+            plateaus_of_set_point(**signals, arm_length=0.5, settle_time=0.08)
+        return
+    found = plateaus_of_set_point(**signals, arm_length=0.5, settle_time=0.08)
+    np.testing.assert_allclose(found.torque, np.arange(10.0))
+    assert found.readings.tolist() == [11] * 10

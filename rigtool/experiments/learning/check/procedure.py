@@ -164,7 +164,7 @@ def analyse(
     position = learned.table.position
     if whole:
         turned = [bare_motor.turned(recording, recipe, constant) for recording in recorded]
-        rows = [bare_motor.learned_by(t, learning, position.size, first=True) for t in turned]
+        rows = [bare_motor.learned_by(t, learning, position.size) for t in turned]
         bare_motor.require_friction_fed(recorded[0], constant, fed)
     else:
         position, rows = _moved_rows(recorded, recipe, constant, learning, learned.table)

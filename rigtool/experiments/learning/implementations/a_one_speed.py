@@ -79,7 +79,7 @@ class OneSpeed(BareMotor[TaughtMap]):
         cut = [[_ripple(item) for item in self.turned(run)] for run in runs]
         history = [self.judge(run, updates) for updates, run in enumerate(cut)]
         last, variance = last_update(history, learning.factor)
-        updated = learned_by(cut[last][0], learning, counts, first=last == 0)
+        updated = learned_by(cut[last][0], learning, counts)
         # The scatter of single turns, enlarged to that of several updates.
         mean = repeatable_row(updated, variance).mean
         row = Row(updated.speed, mean + np.sqrt(variance) * (updated.moves - updated.mean))
@@ -98,7 +98,7 @@ class OneSpeed(BareMotor[TaughtMap]):
             # the loop at the fastest one (`narrowed`).
             cutoff = learning.cutoff_hz * max(1.0, abs(item.speed / learned.speed))
             wide = replace(learning, cutoff_hz=cutoff)
-            rows.append(learned_by(_ripple(item), wide, counts, first=True))
+            rows.append(learned_by(_ripple(item), wide, counts))
         tuning = tune(learned, rows)
         table, u = written_out(turn_angles(counts), learned, tuning)
         return TaughtMap(

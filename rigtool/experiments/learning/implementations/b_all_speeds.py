@@ -57,10 +57,10 @@ class AllSpeeds(BareMotor[TaughtSpeeds]):
         cut = [self.turned(run) for run in runs]
         history = [self.judge(run, updates) for updates, run in enumerate(cut)]
         last, variance = last_update(history, learning.factor)
-        updated = [learned_by(item, learning, counts, first=last == 0) for item in cut[last]]
+        updated = [learned_by(item, learning, counts) for item in cut[last]]
         updated.sort(key=lambda row: row.speed)
         rows = [repeatable_row(row, variance) for row in updated]
-        low = [learned_by(item, learning, counts, first=True) for item in self.turned(slower)]
+        low = [learned_by(item, learning, counts) for item in self.turned(slower)]
         amplitudes = _amplitudes(low, rows)
         table = LookupTable(
             turn_angles(counts),

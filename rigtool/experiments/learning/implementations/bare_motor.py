@@ -185,10 +185,9 @@ def _steady_part(recording: Recording, time: Array) -> slice:
     return slice(int(first), int(last))
 
 
-def learned_by(item: Turned, learning: Learning, positions: int, *, first: bool = False) -> Row:
-    """Return the torque that an update learns by angle; the `first` run has no feed-forward."""
-    before = 0.0 if first else item.cycles.before
-    return learned_row(item.turns, item.speed, learning, positions, before)
+def learned_by(item: Turned, learning: Learning, positions: int) -> Row:
+    """Return the torque that an update learns by angle, on top of a table that was switched on."""
+    return learned_row(item.turns, item.speed, learning, positions, item.cycles.before)
 
 
 def remaining(

@@ -104,7 +104,7 @@ class LimitedAngle(Implementation[TaughtMoves]):
         low_rows: list[Row] = []
         last, variance = last_update(history, learning.factor)
         for speed, moves, before in cut[last]:
-            rows += learned_rows(moves, speed, learning, position, before if last else 0.0)
+            rows += learned_rows(moves, speed, learning, position, before)
         for recording in slower:
             moves, _ = self._moves(recording, settings.low_speed_moves)
             low_rows += learned_rows(moves, recording.condition("speed"), learning, position)
