@@ -190,7 +190,7 @@ def test_a_saturated_current_is_named_with_its_cause(measured, kt):
     with open_run(measured[0]) as stored, open_run(kt) as constant:
         largest = np.median(np.abs(stored.recording("torque_001").read("current_setpoint")))
         recipe = override_recipe(stored.recipe, [f"rig.current_limit={largest}"])
-        with pytest.raises(InsufficientDataError, match=r"torque_001: .* reaches the limit"):
+        with pytest.raises(InsufficientDataError, match=r"torque_001: .* raise rig.current_limit"):
             fft_ripple.analyse([stored], recipe, kt=constant)
 
 
