@@ -229,6 +229,13 @@ def test_positions_and_speeds_that_were_not_learned_have_no_value(learned):
     assert not estimate.inside[middle].any()
 
 
+def test_an_effort_that_no_load_changes_shows_none(learned):
+    one = observe(0.04, 0.2)
+    flat = [replace(side, weights=np.zeros_like(side.weights)) for side in learned.model.sides]
+    estimate = replace(learned.model, sides=tuple(flat)).estimate(one.effort, one.path)
+    assert (estimate.states == State.OUTSIDE).all()
+
+
 def test_half_a_level_beyond_the_learned_ones_is_measured(learned):
     error, u = errors(learned.model, (0.085,))
     assert len(error) > 100
