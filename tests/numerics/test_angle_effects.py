@@ -167,3 +167,6 @@ def test_so_much_of_a_mixture_is_below_its_quantiles(spread):
     found = _quantiles(probable, mean, std, parts)
     below = probable @ stats.norm.cdf(found, mean[:, None], std[:, None])
     assert_allclose(below, parts, rtol=1e-12, atol=1e-15)
+    # a hypothesis without weight widens no bounds, however far away it is
+    more = (np.append(values, other) for values, other in ((probable, 0.0), (mean, 1e30), (std, 1)))
+    assert_allclose(_quantiles(*more, parts), found, rtol=1e-9)

@@ -47,6 +47,9 @@ FLAT_SLOPE = 0.25
 """Where the slope of effort by torque is below this part of the usual one in its direction, such as
 after a reversal, friction hides the load as it does at standstill."""
 
+FLATTEST = 1e-100
+"""Slopes below this one count as this, so that u is huge where effort does not depend on load."""
+
 APART_SPEED = 0.1
 """Part of the highest speed by which speeds of strokes differ, at least."""
 
@@ -135,9 +138,8 @@ class Side:
         row = design.at(torque)
         variance = np.einsum("ij,ij->i", row @ self.covariance, row)
         variance += scatter_variance(self.scatter, speed, torque)
-        slope = np.abs(design.slope(self.weights, torque))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            u: Array = self.factor(torque) * np.sqrt(variance) / slope
+        slope = np.maximum(np.abs(design.slope(self.weights, torque)), FLATTEST)
+        u: Array = self.factor(torque) * np.sqrt(variance) / slope
         return u, slope
 
 
@@ -247,8 +249,7 @@ class LoadModel:
             torque[mask] = np.where(known, found, np.nan)[mask]
             spread *= side.elsewhere if elsewhere else 1.0
             spread *= side.at_other_speeds(change)
-            with np.errstate(invalid="ignore", divide="ignore"):
-                wider = np.hypot(spread, doubt / slope)
+            wider = np.hypot(spread, doubt / slope)
             u[mask], share[mask] = wider[mask], slope[mask] / side.slope
             doubted[mask] = (wider / spread)[mask]
         still = np.abs(path.speed) < self.scales.standstill
@@ -296,8 +297,7 @@ class LoadModel:
                 found, _ = design.solve(side.weights, scaled, self.torque_range)
                 edges[number, hidden] = found
                 spread, slope = side.spread(design, speed, found)
-                with np.errstate(invalid="ignore", divide="ignore"):
-                    wider = np.hypot(spread, doubt[hidden] / slope)
+                wider = np.hypot(spread, doubt[hidden] / slope)
                 half[number, hidden] = COVERAGE_FACTOR * wider
         order = np.argsort(edges, axis=0)
         low, high = np.take_along_axis(edges, order, axis=0)

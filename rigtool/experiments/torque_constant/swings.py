@@ -223,7 +223,7 @@ def without_noise(values: Array, noise: float) -> tuple[Array, float]:
 
 
 def longest_lag(courses: Courses) -> float | None:
-    """Return the longest lag of (1) that is plausible, s; None where most steps show no swing.
+    """Return the longest lag of (1) that is plausible, s; None unless most steps show a swing.
 
     An arm of natural frequency w and damping ratio d has the lag 2 d/w; what swings at all has less
     than `LARGEST_DAMPING`. Friction that holds the arm back makes it swing faster: the slowest

@@ -110,7 +110,7 @@ def test_ripple_in_quadrature_with_the_speed_counts_as_uncertainty():
     angle = time + 0.02 * np.sin(time)  # speed 1 + 0.02 cos
     signals = {"time": time, "angle": angle, "setpoint": time, "inertia": 1e-5}
     found = find_holds(torque=4e-3 + 3e-3 * np.sin(time), **signals)
-    assert found.lagging[0] == pytest.approx(0.02 * 3e-3 / 2, rel=0.01)
+    assert found.lagging[0] == pytest.approx(0.02 * 3e-3 / 2, rel=1e-9)
     assert found.torque[0] == pytest.approx(4e-3, rel=1e-4)
 
 

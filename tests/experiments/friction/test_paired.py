@@ -193,6 +193,20 @@ def test_noise_of_the_known_change_does_not_enlarge_the_ratio():
     assert value == pytest.approx(2, rel=0.05)
 
 
+def test_a_known_change_may_be_a_fifth_uncertain():
+    (known,) = changes(arm(0.0, 1), [arm(0.1, 2)])
+    seen = known.model[known.used]
+    noise = np.random.default_rng(4).normal(0, np.linalg.norm(seen), len(known.model))
+
+    def against(relative_u):
+        noisy = known.model + relative_u * noise
+        return ratio(known, replace(known, difference=noisy, fitted_noise=0.0, independent=1e4))
+
+    assert abs(against(0.12)[0] - 1) < 4 * 0.12
+    with pytest.raises(InsufficientDataError, match="not larger than the scatter"):
+        against(0.33)
+
+
 def test_noise_that_the_fit_takes_for_a_change_does_not_move_the_ratio():
     """Three runs of the same noise, all of it fitted: a quarter of the known change's power is each
     run's noise, and that of the first run is in both changes."""

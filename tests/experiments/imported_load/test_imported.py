@@ -51,6 +51,8 @@ def test_results_are_rms_of_errors_and_mean_friction():
 
 def test_each_level_has_its_errors_and_the_coverage_of_its_intervals():
     table = _level_table(VALIDATION)
+    units = {name: column.unit for name, column in table.columns.items()}
+    assert units == dict.fromkeys(units, "N m") | {"level": "1", "coverage_95": "1"}
     np.testing.assert_array_equal(table["level"], [0, 2])
     np.testing.assert_allclose(table["torque"], [-0.02, -0.05], rtol=1e-9)
     for n, level in enumerate((0, 2)):

@@ -229,6 +229,13 @@ def test_positions_and_speeds_that_were_not_learned_have_no_value(learned):
     assert not estimate.inside[middle].any()
 
 
+def test_an_effort_that_no_load_changes_shows_none(learned):
+    one = observe(0.04, 0.2)
+    flat = [replace(side, weights=np.zeros_like(side.weights)) for side in learned.model.sides]
+    estimate = replace(learned.model, sides=tuple(flat)).estimate(one.effort, one.path)
+    assert (estimate.states == State.OUTSIDE).all()
+
+
 def test_half_a_level_beyond_the_learned_ones_is_measured(learned):
     error, u = errors(learned.model, (0.085,))
     assert len(error) > 100
@@ -302,6 +309,24 @@ def test_strays_of_a_stroke_beyond_what_was_learned_have_no_value():
     stricter = of_known_strokes(known, moving, direction, share=0.8)
     assert not stricter[:22].any()  # three of ten samples of the first are outside
     assert stricter[22:].all()
+
+
+def test_a_stroke_that_the_load_drives_has_values_where_most_of_it_is_known(learned):
+    """Half of a stroke would do for a load that passes the learned ones."""
+    shares = []
+    for load in np.arange(0.0824, 0.0842, 0.0003):  # those learned end at 0.08
+        one = observe(load, 0.2)
+        states = learned.model.estimate(one.effort, one.path).states
+        with_load = one.path.speed < 0
+        stroke = np.cumsum(np.diff(with_load, prepend=with_load[:1]))
+        for number in range(1, stroke[-1]):  # those at the ends are parts of strokes
+            own = stroke == number
+            if with_load[own].all():
+                shares.append(np.mean(states[own & (states != State.STILL)] == State.WITH))
+            else:
+                assert np.mean(states[own] == State.AGAINST) > 0.8
+    assert {share == 0 for share in shares} == {True, False}
+    assert not any(0 < share < 0.75 for share in shares)
 
 
 def test_tables_of_another_mounting_are_found_out(learned):

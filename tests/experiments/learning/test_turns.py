@@ -77,6 +77,10 @@ def test_recordings_without_whole_turns_are_refused():
     swinging = angle + 0.1 * np.sin(time)
     with pytest.raises(InsufficientDataError, match="from constant speed"):
         cut_turns(time, swinging, torque, 2)
+    with pytest.raises(InsufficientDataError, match="from constant speed"):
+        cut_turns(time, angle + 2e-3 * TURN * np.sin(9 * time), torque, 2)
+    # a thousandth of a turn is steady
+    cut_turns(time, angle + 0.5e-3 * TURN * np.sin(9 * time), torque, 2)
 
 
 @pytest.mark.parametrize("speed", [6.0, -6.0])

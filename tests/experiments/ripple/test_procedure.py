@@ -139,6 +139,7 @@ def test_a_power_cycle_changes_the_ripple_and_nothing_else_does(folder, kt, meas
     # Noise, which is left out of the comparison, lowers that of the whole waveforms.
     assert expected < results["power_cycle_correlation"].value < expected + 0.1
     assert results["power_cycle_correlation"].value < 0.95
+    assert not any("nothing to compare" in note for note in measured[1].notes)
     # A ripple that start-ups do not touch is the same ripple.
     cogging = "virtual.motor.cogging=[{ order = 2, amplitude = 0.5e-3, phase = 0.6 }]"
     same = run(FFT_RIPPLE, RECIPE, folder / "same.h5", *SHORT, *QUIET, cogging, kt=kt)
@@ -190,7 +191,7 @@ def test_a_saturated_current_is_named_with_its_cause(measured, kt):
     with open_run(measured[0]) as stored, open_run(kt) as constant:
         largest = np.median(np.abs(stored.recording("torque_001").read("current_setpoint")))
         recipe = override_recipe(stored.recipe, [f"rig.current_limit={largest}"])
-        with pytest.raises(InsufficientDataError, match=r"torque_001: .* reaches the limit"):
+        with pytest.raises(InsufficientDataError, match=r"torque_001: .* raise rig.current_limit"):
             fft_ripple.analyse([stored], recipe, kt=constant)
 
 

@@ -18,7 +18,7 @@ from rigtool.experiments.torque_constant.swings import (
 PARTS = 96
 
 
-def swinging(size: float, swings: float = 6.0):
+def swinging(size, swings=6.0):
     """Return courses of one staircase whose arm overshoots each step by `size` of it, and would
     swing so many times on a plateau."""
     torque = np.array([[0.0, 1.0, 2.0, 1.0, 0.0]])
@@ -48,6 +48,14 @@ def test_an_arm_that_turns_once_on_a_plateau_has_swung_half_a_period_since_the_s
     damping = 12 / np.hypot(12, 1.8 * np.pi)
     lag = 2 * damping / np.hypot(12, 1.8 * np.pi)
     assert lag < longest_lag(courses) < 5 * lag
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_a_lag_needs_more_than_half_of_the_steps_to_swing(more):
+    steps = swinging(0.8).torque.shape[1] - 1
+    shown = np.arange(steps + 1) <= steps // 2 + more  # the first plateau has no step
+    assert steps % 2 == 0
+    assert (longest_lag(swinging(0.8 * shown[:, None])) is not None) == more
 
 
 def test_an_arm_that_does_not_swing_goes_straight():

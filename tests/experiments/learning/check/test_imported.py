@@ -1,6 +1,7 @@
 """Turns against a map, both made of known orders: what is left of them by complex numbers alone."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -152,6 +153,15 @@ def test_another_map_is_neither():
     assert not found.fits
     assert not found.shifted
     assert "a shift is not enough" in found.notes(group)[0]
+
+
+def test_a_map_of_another_size_is_not_shifted():
+    found, group, _ = turned({k: a / 2 for k, a in MAP.items()})
+    exact = replace(found, match=replace(found.match, shift=0.0, shift_u=0.0))
+    for one in (found, exact):
+        assert not one.fits
+        assert not one.shifted
+    assert "correlation 1.000 as it is" in found.notes(group)[0]
 
 
 def test_waveforms_add_up():
