@@ -14,6 +14,10 @@ ones, is found for each o by expectation and maximisation (A. P. Dempster, N. M.
 J. R. Stat. Soc. B 39(1) 1977; its bound in R. M. Neal, G. E. Hinton, Learning in Graphical Models,
 1998, is the likelihood of o). All of this is linear for one o, so that o alone is searched.
 
+Friction of another instrument or mounting looks like friction at other angles, too. So a zero has
+to be likelier, by the same odds, than the learned zero with another friction by angle: its waves
+have other phases, as those of the ripple have, and its level is off by `LEVEL`.
+
 Beyond the learned angles the learned coefficients leave F and R open, so that a zero by which a
 tissue at the end of the stroke lies there explains it. The cells that o leaves within the learned
 angles have to show o by themselves.
@@ -28,7 +32,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.model import Kind, wave
+from rigtool.experiments.force_model.model import Kind, Term, wave
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.experiments.force_sensor.drawn_ripple import UNCERTAIN_SHARE
 from rigtool.experiments.force_sensor.unknown_friction import ANGLE_CELLS, FEWEST_CELLS, Passes
@@ -45,6 +49,9 @@ FEWEST_PASSES, MOST_PASSES = 2, 8
 NOISE, KNOWN, TOUCHED = 0.5, 0.03, 0.35
 """In deviations of a stroke: white noise of a cell, and the deviation of a sum of coefficients
 below which it is taken as known. In parts of the friction: torque that touches."""
+
+LEVEL = 0.2
+"""Deviation of the friction of another instrument, in parts of the learned one."""
 
 TOUCHED_PROBABILITY, ROUNDS = 0.3, 4
 """Probability that something touches, before anything is seen; rounds of the search for what is
@@ -116,7 +123,8 @@ def encoder_zero(
     moved, u = count * round(mean / count), math.sqrt(odds @ (places - mean) ** 2)
     if moved == 0 or unmoved > 1 - CERTAIN or u > LARGEST_U * (reach[1] - reach[0]):
         return None
-    if not search.shows(search.likelihood(moved)[1]):
+    likelihood, untouched = search.likelihood(moved)
+    if not search.shows(untouched) or search.other_friction(untouched) > likelihood:
         return None
     within = _Search(model, reach, direction, np.where(search.learned_at(moved), torque, math.nan))
     gained = ROW_EVIDENCE * (within.likelihood(moved)[0] - within.likelihood(0.0)[0])
@@ -139,20 +147,22 @@ class _Search:
         kinds = ((Kind.BEARING, Kind.HOUSING), (Kind.OFFSET, Kind.COGGING), (Kind.RIPPLE,))
         own = [[n for n, t in enumerate(learned.terms) if t.kind in kind] for kind in kinds]
         self._terms = [[learned.terms[n] for n in numbers] for numbers in own]
-        every, plain = [*own[0], *own[1], *own[2]], len(own[0]) + len(own[1])
-        size = len(SLIDING_PARAMETERS)
-        covariance = learned.covariance[size:, size:][np.ix_(every, every)]
+        every = [*own[0], *own[1], *own[2]]
+        size, terms = len(SLIDING_PARAMETERS), [learned.terms[n] for n in every]
         coefficient = learned.coefficient[every]
-        drawn = coefficient[plain:] ** 2 + UNCERTAIN_SHARE * np.diag(covariance)[plain:]
-        orders = [term.order for term in self._terms[2]]
-        amplitude = [sum(drawn[np.equal(orders, order)]) / 2 for order in orders]
-        other = covariance.copy()
-        other[plain:, :] = other[:, plain:] = 0.0
-        other[plain:, plain:] = np.diag(amplitude)
-        unknown = np.concatenate([coefficient[:plain], np.zeros(len(orders))])
+        covariance = learned.covariance[size:, size:][np.ix_(every, every)]
+        plain = [n < len(own[0]) and not term.order for n, term in enumerate(terms)]
+        level = covariance + np.diag((LEVEL * coefficient * plain) ** 2)
+        frictions = [n for n in range(len(own[0])) if not plain[n]]
+        ripples = list(range(len(own[0]) + len(own[1]), len(every)))
         stroke = model.deviations.stroke
-        roots = [_root(one, KNOWN * stroke) for one in (covariance, other)]
-        self._hypotheses = list(zip((coefficient, unknown), roots, strict=True))
+
+        def either(mean: Array, covariance: Array) -> list[tuple[Array, Array]]:
+            both = (mean, covariance), _other_phases(mean, covariance, terms, ripples)
+            return [(mean, _root(one, KNOWN * stroke)) for mean, one in both]
+
+        self._hypotheses = either(coefficient, covariance)
+        self._other_friction = either(*_other_phases(coefficient, level, terms, frictions))
         self._subtracted = self._waves(0.0) @ coefficient
         self._pass, self._cell = np.nonzero(np.isfinite(torque))
         self._direction = direction[self._pass]
@@ -201,14 +211,31 @@ class _Search:
     def likelihood(self, moved: float) -> tuple[float, Array]:
         """Return the likelihood's logarithm, and the probability that nothing touches (n,), of the
         hypothesis that is likelier."""
+        return self._likeliest(moved, self._hypotheses)
+
+    def other_friction(self, untouched: Array) -> float:
+        """Return the likelihood's logarithm of the learned zero with other friction by angle; the
+        search for what touches begins at these probabilities (n,) that nothing does."""
+        return self._likeliest(0.0, self._other_friction, untouched)[0]
+
+    def _likeliest(
+        self,
+        moved: float,
+        hypotheses: Sequence[tuple[Array, Array]],
+        untouched: Array | None = None,
+    ) -> tuple[float, Array]:
         waves = self._waves(moved)
         found = [
-            self._by_hypothesis((waves @ mean - self._subtracted)[self._row], waves @ root)
-            for mean, root in self._hypotheses
+            self._by_hypothesis(
+                (waves @ mean - self._subtracted)[self._row], waves @ root, untouched
+            )
+            for mean, root in hypotheses
         ]
         return max(found, key=lambda one: one[0])
 
-    def _by_hypothesis(self, mean: Array, columns: Array) -> tuple[float, Array]:
+    def _by_hypothesis(
+        self, mean: Array, columns: Array, found: Array | None = None
+    ) -> tuple[float, Array]:
         left, s, w = self._torque - mean, self._noise, self._touched
         design = np.hstack([columns[self._row], self._strokes])
         prior = math.log(TOUCHED_PROBABILITY / (1 - TOUCHED_PROBABILITY))
@@ -218,7 +245,8 @@ class _Search:
             found: Array = 1 / (1 + np.exp(np.clip(prior + exponent, -30, 30)))
             return found
 
-        found = probability(left, np.sum(design**2, axis=1) + s**2)
+        if found is None:
+            found = probability(left, np.sum(design**2, axis=1) + s**2)
         for number in range(ROUNDS):
             weight = found / s**2 + (1 - found) / w**2
             weighted = design * weight[:, None]
@@ -241,6 +269,18 @@ class _Search:
             seen.append(free > 1 / 2)
         both = float((seen[0] & seen[1]).sum()) / np.unique(self._cell).size
         return min(parts) >= UNTOUCHED_PART and both >= SEEN_CELLS
+
+
+def _other_phases(
+    mean: Array, covariance: Array, terms: Sequence[Term], waves: list[int]
+) -> tuple[Array, Array]:
+    """Return mean and covariance of the terms where these `waves` of theirs have other phases."""
+    square = mean**2 + UNCERTAIN_SHARE * np.diag(covariance)
+    mean, covariance = mean.copy(), covariance.copy()
+    orders = np.array([terms[n].order for n in waves])
+    mean[waves] = covariance[waves, :] = covariance[:, waves] = 0.0
+    covariance[waves, waves] = [square[waves][orders == order].sum() / 2 for order in orders]
+    return mean, covariance
 
 
 def _root(covariance: Array, least: float) -> Array:

@@ -116,6 +116,7 @@ def test_cells_that_were_not_learned_count_against_a_zero(search):
 def test_the_torque_of_another_zero_is_that_of_the_friction_in_one_direction(search):
     output = (ANGLE - 0.3) / RATIO
     friction = 12e-3 + 1.2e-3 * np.cos(output) - 0.3e-3 * np.sin(3 * output)
+    friction += 0.2e-3 * np.cos(6 * output)
     assert_allclose(search.mean(0.3), FACTOR * friction, rtol=1e-9)
 
 
@@ -171,6 +172,9 @@ class Given:
 
     def shows(self, untouched):
         return True
+
+    def other_friction(self, untouched):
+        return -math.inf
 
     def mean(self, moved):
         return np.full(4, 5e-3 * moved)
