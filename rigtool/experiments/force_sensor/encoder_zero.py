@@ -14,9 +14,10 @@ ones, is found for each o by expectation and maximisation (A. P. Dempster, N. M.
 J. R. Stat. Soc. B 39(1) 1977; its bound in R. M. Neal, G. E. Hinton, Learning in Graphical Models,
 1998, is the likelihood of o). All of this is linear for one o, so that o alone is searched.
 
-Friction of another instrument or mounting looks like friction at other angles, too. So a zero has
-to be likelier, by the same odds, than the learned zero with another friction by angle: its waves
-have other phases, as those of the ripple have, and its level is off by `LEVEL`.
+Friction of another instrument or mounting looks like friction at other angles, too. So o also has
+to be likelier than the learned zero with other friction by angle: its waves have other phases, as
+those of the ripple, and its level is off by `LEVEL`. What touches is then searched for from what o
+leaves untouched, as this friction alone may be as large as what touches.
 
 Beyond the learned angles the learned coefficients leave F and R open, so that a zero by which a
 tissue at the end of the stroke lies there explains it. The cells that o leaves within the learned
@@ -50,8 +51,10 @@ NOISE, KNOWN, TOUCHED = 0.5, 0.03, 0.35
 """In deviations of a stroke: white noise of a cell, and the deviation of a sum of coefficients
 below which it is taken as known. In parts of the friction: torque that touches."""
 
-LEVEL = 0.2
-"""Deviation of the friction of another instrument, in parts of the learned one."""
+LEVEL, OTHER = 0.2, 0.1
+"""Deviation of the friction of another instrument, in parts of the learned one; and how often
+tables are of another instrument, in parts of how often the zero is another one: an encoder without
+an index has one at each start, tables are checked for the name of the rig."""
 
 TOUCHED_PROBABILITY, ROUNDS = 0.3, 4
 """Probability that something touches, before anything is seen; rounds of the search for what is
@@ -124,7 +127,8 @@ def encoder_zero(
     if moved == 0 or unmoved > 1 - CERTAIN or u > LARGEST_U * (reach[1] - reach[0]):
         return None
     likelihood, untouched = search.likelihood(moved)
-    if not search.shows(untouched) or search.other_friction(untouched) > likelihood:
+    other = ROW_EVIDENCE * (search.other_friction(untouched) - likelihood) + math.log(OTHER)
+    if other > 0 or not search.shows(untouched):
         return None
     within = _Search(model, reach, direction, np.where(search.learned_at(moved), torque, math.nan))
     gained = ROW_EVIDENCE * (within.likelihood(moved)[0] - within.likelihood(0.0)[0])

@@ -226,6 +226,24 @@ def test_another_zero_is_a_thousand_times_likelier(given, more, found):
     assert (encoder_zero([parts()], model(), REACH, COUNT) is not None) == found
 
 
+@pytest.mark.parametrize(("more", "found"), [(-0.2, True), (0.2, False)])
+def test_other_friction_is_a_tenth_as_likely_beforehand(given, more, found):
+    level = 100 + math.log(10) / ROW_EVIDENCE
+    given.other_friction = lambda self, untouched: level + more
+    assert (encoder_zero([parts()], model(), REACH, COUNT) is not None) == found
+
+
+def test_what_touches_is_searched_for_from_what_is_given(search):
+    """The likelier ripple counts; the bound rises from wherever it begins."""
+    touched = np.full(len(search._torque), 1e-6)
+    waves, found = search._waves(0.0), []
+    for mean, root in search._other_friction:
+        off = (waves @ mean - search._subtracted)[search._row]
+        found.append(search._by_hypothesis(off, waves @ root, touched)[0])
+        assert found[-1] != search._by_hypothesis(off, waves @ root)[0]
+    assert search.other_friction(touched) == max(found)
+
+
 @pytest.mark.parametrize("cycles", [2, 6, 20])
 def test_passes_that_are_looked_at_are_spread_over_all(given, cycles):
     """Eight of each direction at most, the first and the last among them."""

@@ -50,8 +50,10 @@ def judged(monkeypatch, forms, share=0.0, zero=None, observed=False):
     """Return by how much u is widened, notes, and the hands that passes were looked at with."""
     seen, hands = [], []
 
-    def unknown(form, hand):
+    def unknown(form, hand, bare=0.0):
         hands.append(hand)
+        if form[0] == "with":
+            assert bare == (forms["without"].size if forms["without"] else 0.0)
         return forms[form[0]]
 
     quiet = {"unknown_share": share, "lasting_torque": 0.0, "driven_part": 0.0}
@@ -87,6 +89,9 @@ def test_the_form_of_larger_unknown_friction_counts(monkeypatch, observed):
     assert "friction of 3 mN m opposes" in notes[-1]
     assert "wider by 4 mN m" in notes[-1]
     assert hands == [largest_friction(Model(), observed)] * 2
+    forms["with"] = friction(2e-3, 5e-3)  # the torque that is given, with friction as ripple off
+    widened, notes, _ = judged(monkeypatch, forms, observed=observed)
+    assert widened == (pytest.approx(5e-3), gain(3e-3))
     widened, notes, _ = judged(monkeypatch, {"with": friction(2e-3), "without": None})
     assert "friction of 2 mN m" in notes[-1]
 
