@@ -17,7 +17,8 @@ J. R. Stat. Soc. B 39(1) 1977; its bound in R. M. Neal, G. E. Hinton, Learning i
 Friction of another instrument or mounting looks like friction at other angles, too. So o also has
 to be likelier than the learned zero with other friction by angle: its waves have other phases, as
 those of the ripple, and its level is off by `LEVEL`. What touches is then searched for from what o
-leaves untouched, as this friction alone may be as large as what touches.
+leaves untouched, as this friction alone may be as large as what touches. Where it is likelier, the
+tables do not hold F, whichever it is.
 
 Beyond the learned angles the learned coefficients leave F and R open, so that a zero by which a
 tissue at the end of the stroke lies there explains it. The cells that o leaves within the learned
@@ -76,7 +77,8 @@ with less, a load that stays looks like it."""
 @dataclass(frozen=True)
 class EncoderZero:
     """The angle `moved` rad that the encoder shows too much, its standard uncertainty `u`, and the
-    `spread` N m of the torque on the output that follows from it."""
+    `spread` N m of the torque on the output that follows from it; 0 where other friction by angle
+    is likelier, and the spread that of its difference from the learned one."""
 
     moved: float
     u: float
@@ -91,7 +93,8 @@ def encoder_zero(
     hand: float | None = None,
 ) -> EncoderZero | None:
     """Return the zero that the passes of stretches show, in whole counts of `count` rad; None where
-    it is that of the learning, or too few passes are left alone by what touches.
+    zero and friction by angle are those of the learning, or too few passes are left alone by what
+    touches.
 
     Torques of the passes are those before another power-up's ripple was taken off; `reach` rad is
     the learned range of angles. Torque that drives a pass with more than `hand` N m is a hand's.
@@ -127,13 +130,15 @@ def encoder_zero(
     if moved == 0 or unmoved > 1 - CERTAIN or u > LARGEST_U * (reach[1] - reach[0]):
         return None
     likelihood, untouched = search.likelihood(moved)
-    other = ROW_EVIDENCE * (search.other_friction(untouched) - likelihood) + math.log(OTHER)
-    if other > 0 or not search.shows(untouched):
+    if not search.shows(untouched):
         return None
     within = _Search(model, reach, direction, np.where(search.learned_at(moved), torque, math.nan))
     gained = ROW_EVIDENCE * (within.likelihood(moved)[0] - within.likelihood(0.0)[0])
     if gained < math.log(CERTAIN / (1 - CERTAIN)) + math.log(UNMOVED / (1 - UNMOVED)):
         return None
+    other, differs = search.other_friction(untouched)
+    if ROW_EVIDENCE * (other - likelihood) + math.log(OTHER) > 0:
+        return EncoderZero(0.0, u, differs)
     torques = np.array([search.mean(place) for place in places])
     off = float(np.sqrt(np.mean(odds @ (torques - search.mean(moved)) ** 2)))
     return EncoderZero(moved, u, off)
@@ -215,31 +220,28 @@ class _Search:
     def likelihood(self, moved: float) -> tuple[float, Array]:
         """Return the likelihood's logarithm, and the probability that nothing touches (n,), of the
         hypothesis that is likelier."""
-        return self._likeliest(moved, self._hypotheses)
-
-    def other_friction(self, untouched: Array) -> float:
-        """Return the likelihood's logarithm of the learned zero with other friction by angle; the
-        search for what touches begins at these probabilities (n,) that nothing does."""
-        return self._likeliest(0.0, self._other_friction, untouched)[0]
-
-    def _likeliest(
-        self,
-        moved: float,
-        hypotheses: Sequence[tuple[Array, Array]],
-        untouched: Array | None = None,
-    ) -> tuple[float, Array]:
         waves = self._waves(moved)
         found = [
-            self._by_hypothesis(
-                (waves @ mean - self._subtracted)[self._row], waves @ root, untouched
-            )
-            for mean, root in hypotheses
+            self._by_hypothesis((waves @ mean - self._subtracted)[self._row], waves @ root)[:2]
+            for mean, root in self._hypotheses
         ]
         return max(found, key=lambda one: one[0])
 
+    def other_friction(self, untouched: Array) -> tuple[float, float]:
+        """Return the likelihood's logarithm of the learned zero with other friction by angle, and
+        root mean square N m of that friction's difference from the learned one. The search for what
+        touches begins with the probabilities (n,) that nothing does, `untouched`."""
+        waves, found = self._waves(0.0), []
+        for mean, root in self._other_friction:
+            columns, off = waves @ root, waves @ mean - self._subtracted
+            value, _, drawn = self._by_hypothesis(off[self._row], columns, untouched)
+            up, down = np.split(off + columns @ drawn, 2)
+            found.append((value, float(np.sqrt(np.mean((up - down) ** 2))) / 2))
+        return max(found)
+
     def _by_hypothesis(
         self, mean: Array, columns: Array, found: Array | None = None
-    ) -> tuple[float, Array]:
+    ) -> tuple[float, Array, Array]:
         left, s, w = self._torque - mean, self._noise, self._touched
         design = np.hstack([columns[self._row], self._strokes])
         prior = math.log(TOUCHED_PROBABILITY / (1 - TOUCHED_PROBABILITY))
@@ -261,7 +263,7 @@ class _Search:
         value = -(weight @ left**2 - right @ solution + np.linalg.slogdet(normal)[1]) / 2
         value += found @ np.log((1 - TOUCHED_PROBABILITY) / (s * found))
         value += (1 - found) @ np.log(TOUCHED_PROBABILITY / (w * (1 - found)))
-        return float(value), found
+        return float(value), found, solution[: columns.shape[1]]
 
     def shows(self, untouched: Array) -> bool:
         """Return whether cells (n,) that nothing touches, by probability, are enough."""

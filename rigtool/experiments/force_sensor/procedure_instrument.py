@@ -106,6 +106,12 @@ def of_this_instrument(
 
 
 def _of_zero(zero: EncoderZero, tables: Run) -> str:
+    if not zero.moved:
+        return (
+            f"friction along the angle is not what {tables.path} holds: u is wider by "
+            f"{zero.spread * 1e3:.3g} mN m; the tables are of another instrument or mounting, or "
+            "the encoder was zeroed elsewhere: learn again"
+        )
     return (
         f"the encoder shows {math.degrees(zero.moved):.1f}({math.degrees(zero.u):.1f}) deg of the "
         f"motor more than when {tables.path} was learned, by friction and ripple along the angle: "

@@ -107,9 +107,12 @@ def test_friction_of_another_instrument_is_no_other_zero(monkeypatch, other):
     own = passes(
         np.random.default_rng(7), 0, cycles=4, by_friction=functools.partial(friction, **other)
     )
-    assert zero_of(own) is None
-    monkeypatch.setattr(_Search, "other_friction", lambda self, untouched: -math.inf)
-    assert zero_of(own) is not None
+    found = zero_of(own)
+    assert found.moved == 0
+    left = FACTOR * (friction(ANGLE, **other) - friction(ANGLE))
+    assert found.spread == pytest.approx(np.sqrt(np.mean(left**2)), rel=0.15)
+    monkeypatch.setattr(_Search, "other_friction", lambda self, untouched: (-math.inf, 0.0))
+    assert zero_of(own).moved != 0
 
 
 def touches(cells, torque):
@@ -186,7 +189,7 @@ def test_another_zero_is_taken_at_long_odds_only(monkeypatch, log_odds, learned,
             return True
 
         def other_friction(self, untouched):
-            return -math.inf
+            return -math.inf, 0.0
 
         def mean(self, moved):
             return np.zeros(4)

@@ -127,6 +127,11 @@ def test_another_zero_and_friction_under_load_are_in_u_and_noted(monkeypatch, sh
     widened, notes, _ = judged(monkeypatch, {"with": None, "without": None}, share, zero)
     assert widened == (3e-3, pytest.approx(abs(share)))
     assert "was not checked" in notes[2]
+    other = EncoderZero(0.0, math.radians(0.7), 3e-3)
+    widened, notes, _ = judged(monkeypatch, {"with": one, "without": one}, zero=other)
+    assert widened == (pytest.approx(5e-3), gain(1e-3))
+    assert "friction along the angle is not what" in notes[0]
+    assert "wider by 3 mN m; the tables are of another instrument" in notes[0]
     quiet = friction(1e-3, over_u=0.1)
     assert judged(monkeypatch, {"with": quiet, "without": quiet}, 0.0, None)[:2] == ((0, 0), [])
 
