@@ -13,7 +13,7 @@ from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
-from rigtool.experiments.force_sensor.encoder_zero import LEVEL, _Search, encoder_zero
+from rigtool.experiments.force_sensor.encoder_zero import _Search, encoder_zero
 from rigtool.experiments.force_sensor.unknown_friction import ANGLE_CELLS, Passes
 
 COUNT = 2 * math.pi / 4000
@@ -218,7 +218,7 @@ def test_what_passes_scatter_by_is_that_of_drawn_terms(again, anew):
         drawn[:, first] = amplitude * np.cos(phase)
         drawn[:, first + 1] = amplitude * np.sin(phase)
     if anew:
-        drawn[:, :2] *= 1 + LEVEL * rng.standard_normal((count, 2))
+        drawn[:, :2] *= 1 + 0.2 * rng.standard_normal((count, 2))
     angle = ANGLE - moved
     functions = [np.ones(ANGLE_CELLS), np.ones(ANGLE_CELLS)]
     functions += [way(n * angle / RATIO) for n in (1, 3, 6) for way in (np.cos, np.sin)]

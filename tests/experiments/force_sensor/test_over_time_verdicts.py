@@ -236,10 +236,11 @@ def test_a_constant_of_half_as_much_again_is_another_motors(ratio, refused, monk
         require_calibration(given, own)
 
 
-@pytest.mark.parametrize("again", [False, True])
-def test_a_zero_that_is_found_once_more_was_another_thing(monkeypatch, again):
-    """Recordings are read with it taken off, and kept where nothing of it is left."""
-    module, zero = procedure_over_time, SimpleNamespace(moved=0.2)
+@pytest.mark.parametrize(("again", "moved"), [(True, 0.2), (False, 0.2), (True, 0.0)])
+def test_a_zero_that_is_found_once_more_was_another_thing(monkeypatch, again, moved):
+    """Recordings are read with it taken off, and kept where nothing of it is left; other friction
+    by angle is judged as it is."""
+    module, zero = procedure_over_time, SimpleNamespace(moved=moved)
     channels = (*module.NEEDED_CHANNELS, "position_setpoint")
 
     def recording(name, size=9, has=channels):
@@ -273,7 +274,7 @@ def test_a_zero_that_is_found_once_more_was_another_thing(monkeypatch, again):
     tables = SimpleNamespace(recipe=recipe, path="tables.h5")
     found = module.analyse_over_time([run], recipe, kt=None, tables=tables)
     assert found.notes == ("own", "judged")
-    expected = (None, 0.0) if again else (zero, 0.2)
+    expected = (None, 0.0) if again and moved else (zero, moved)
     assert (given["zero"], given["read"]) == (expected[0], [("one", expected[1])])
     assert not given["observed"]
     made[0].has = channels[:-1].__contains__
