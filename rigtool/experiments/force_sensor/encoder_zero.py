@@ -263,7 +263,7 @@ class _Search:
         value = -(weight @ left**2 - right @ solution + np.linalg.slogdet(normal)[1]) / 2
         value += found @ np.log((1 - TOUCHED_PROBABILITY) / (s * found))
         value += (1 - found) @ np.log(TOUCHED_PROBABILITY / (w * (1 - found)))
-        return float(value), found, solution[: columns.shape[1]]
+        return float(value), found, solution[: columns.shape[1]].astype(np.float64)
 
     def shows(self, untouched: Array) -> bool:
         """Return whether cells (n,) that nothing touches, by probability, are enough."""
