@@ -14,6 +14,12 @@ ones, is found for each o by expectation and maximisation (A. P. Dempster, N. M.
 J. R. Stat. Soc. B 39(1) 1977; its bound in R. M. Neal, G. E. Hinton, Learning in Graphical Models,
 1998, is the likelihood of o). All of this is linear for one o, so that o alone is searched.
 
+Friction of another instrument or mounting looks like friction at other angles, too. So o also has
+to be likelier than the learned zero with other friction by angle: its waves have other phases, as
+those of the ripple, and its level is off by `LEVEL`. What touches is then searched for from what o
+leaves untouched, as this friction alone may be as large as what touches. Where it is likelier, the
+tables do not hold F, whichever it is.
+
 Beyond the learned angles the learned coefficients leave F and R open, so that a zero by which a
 tissue at the end of the stroke lies there explains it. The cells that o leaves within the learned
 angles have to show o by themselves.
@@ -28,7 +34,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.model import Kind, wave
+from rigtool.experiments.force_model.model import Kind, Term, wave
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.experiments.force_sensor.drawn_ripple import UNCERTAIN_SHARE
 from rigtool.experiments.force_sensor.unknown_friction import ANGLE_CELLS, FEWEST_CELLS, Passes
@@ -45,6 +51,11 @@ FEWEST_PASSES, MOST_PASSES = 2, 8
 NOISE, KNOWN, TOUCHED = 0.5, 0.03, 0.35
 """In deviations of a stroke: white noise of a cell, and the deviation of a sum of coefficients
 below which it is taken as known. In parts of the friction: torque that touches."""
+
+LEVEL, OTHER = 0.2, 0.1
+"""Deviation of the friction of another instrument, in parts of the learned one; and how often
+tables are of another instrument, in parts of how often the zero is another one: an encoder without
+an index has one at each start, tables are checked for the name of the rig."""
 
 TOUCHED_PROBABILITY, ROUNDS = 0.3, 4
 """Probability that something touches, before anything is seen; rounds of the search for what is
@@ -66,7 +77,8 @@ with less, a load that stays looks like it."""
 @dataclass(frozen=True)
 class EncoderZero:
     """The angle `moved` rad that the encoder shows too much, its standard uncertainty `u`, and the
-    `spread` N m of the torque on the output that follows from it."""
+    `spread` N m of the torque on the output that follows from it; 0 where other friction by angle
+    is likelier, and the spread that of its difference from the learned one."""
 
     moved: float
     u: float
@@ -81,7 +93,8 @@ def encoder_zero(
     hand: float | None = None,
 ) -> EncoderZero | None:
     """Return the zero that the passes of stretches show, in whole counts of `count` rad; None where
-    it is that of the learning, or too few passes are left alone by what touches.
+    zero and friction by angle are those of the learning, or too few passes are left alone by what
+    touches.
 
     Torques of the passes are those before another power-up's ripple was taken off; `reach` rad is
     the learned range of angles. Torque that drives a pass with more than `hand` N m is a hand's.
@@ -116,12 +129,16 @@ def encoder_zero(
     moved, u = count * round(mean / count), math.sqrt(odds @ (places - mean) ** 2)
     if moved == 0 or unmoved > 1 - CERTAIN or u > LARGEST_U * (reach[1] - reach[0]):
         return None
-    if not search.shows(search.likelihood(moved)[1]):
+    likelihood, untouched = search.likelihood(moved)
+    if not search.shows(untouched):
         return None
     within = _Search(model, reach, direction, np.where(search.learned_at(moved), torque, math.nan))
     gained = ROW_EVIDENCE * (within.likelihood(moved)[0] - within.likelihood(0.0)[0])
     if gained < math.log(CERTAIN / (1 - CERTAIN)) + math.log(UNMOVED / (1 - UNMOVED)):
         return None
+    other, differs = search.other_friction(untouched)
+    if ROW_EVIDENCE * (other - likelihood) + math.log(OTHER) > 0:
+        return EncoderZero(0.0, u, differs)
     torques = np.array([search.mean(place) for place in places])
     off = float(np.sqrt(np.mean(odds @ (torques - search.mean(moved)) ** 2)))
     return EncoderZero(moved, u, off)
@@ -139,20 +156,22 @@ class _Search:
         kinds = ((Kind.BEARING, Kind.HOUSING), (Kind.OFFSET, Kind.COGGING), (Kind.RIPPLE,))
         own = [[n for n, t in enumerate(learned.terms) if t.kind in kind] for kind in kinds]
         self._terms = [[learned.terms[n] for n in numbers] for numbers in own]
-        every, plain = [*own[0], *own[1], *own[2]], len(own[0]) + len(own[1])
-        size = len(SLIDING_PARAMETERS)
-        covariance = learned.covariance[size:, size:][np.ix_(every, every)]
+        every = [*own[0], *own[1], *own[2]]
+        size, terms = len(SLIDING_PARAMETERS), [learned.terms[n] for n in every]
         coefficient = learned.coefficient[every]
-        drawn = coefficient[plain:] ** 2 + UNCERTAIN_SHARE * np.diag(covariance)[plain:]
-        orders = [term.order for term in self._terms[2]]
-        amplitude = [sum(drawn[np.equal(orders, order)]) / 2 for order in orders]
-        other = covariance.copy()
-        other[plain:, :] = other[:, plain:] = 0.0
-        other[plain:, plain:] = np.diag(amplitude)
-        unknown = np.concatenate([coefficient[:plain], np.zeros(len(orders))])
+        covariance = learned.covariance[size:, size:][np.ix_(every, every)]
+        plain = [n < len(own[0]) and not term.order for n, term in enumerate(terms)]
+        level = covariance + np.diag((LEVEL * coefficient * plain) ** 2)
+        frictions = [n for n in range(len(own[0])) if not plain[n]]
+        ripples = list(range(len(own[0]) + len(own[1]), len(every)))
         stroke = model.deviations.stroke
-        roots = [_root(one, KNOWN * stroke) for one in (covariance, other)]
-        self._hypotheses = list(zip((coefficient, unknown), roots, strict=True))
+
+        def either(mean: Array, covariance: Array) -> list[tuple[Array, Array]]:
+            both = (mean, covariance), _other_phases(mean, covariance, terms, ripples)
+            return [(mean, _root(one, KNOWN * stroke)) for mean, one in both]
+
+        self._hypotheses = either(coefficient, covariance)
+        self._other_friction = either(*_other_phases(coefficient, level, terms, frictions))
         self._subtracted = self._waves(0.0) @ coefficient
         self._pass, self._cell = np.nonzero(np.isfinite(torque))
         self._direction = direction[self._pass]
@@ -203,12 +222,26 @@ class _Search:
         hypothesis that is likelier."""
         waves = self._waves(moved)
         found = [
-            self._by_hypothesis((waves @ mean - self._subtracted)[self._row], waves @ root)
+            self._by_hypothesis((waves @ mean - self._subtracted)[self._row], waves @ root)[:2]
             for mean, root in self._hypotheses
         ]
         return max(found, key=lambda one: one[0])
 
-    def _by_hypothesis(self, mean: Array, columns: Array) -> tuple[float, Array]:
+    def other_friction(self, untouched: Array) -> tuple[float, float]:
+        """Return the likelihood's logarithm of the learned zero with other friction by angle, and
+        root mean square N m of that friction's difference from the learned one. The search for what
+        touches begins with the probabilities (n,) that nothing does, `untouched`."""
+        waves, found = self._waves(0.0), []
+        for mean, root in self._other_friction:
+            columns, off = waves @ root, waves @ mean - self._subtracted
+            value, _, drawn = self._by_hypothesis(off[self._row], columns, untouched)
+            up, down = np.split(off + columns @ drawn, 2)
+            found.append((value, float(np.sqrt(np.mean((up - down) ** 2))) / 2))
+        return max(found)
+
+    def _by_hypothesis(
+        self, mean: Array, columns: Array, found: Array | None = None
+    ) -> tuple[float, Array, Array]:
         left, s, w = self._torque - mean, self._noise, self._touched
         design = np.hstack([columns[self._row], self._strokes])
         prior = math.log(TOUCHED_PROBABILITY / (1 - TOUCHED_PROBABILITY))
@@ -218,7 +251,8 @@ class _Search:
             found: Array = 1 / (1 + np.exp(np.clip(prior + exponent, -30, 30)))
             return found
 
-        found = probability(left, np.sum(design**2, axis=1) + s**2)
+        if found is None:
+            found = probability(left, np.sum(design**2, axis=1) + s**2)
         for number in range(ROUNDS):
             weight = found / s**2 + (1 - found) / w**2
             weighted = design * weight[:, None]
@@ -229,7 +263,7 @@ class _Search:
         value = -(weight @ left**2 - right @ solution + np.linalg.slogdet(normal)[1]) / 2
         value += found @ np.log((1 - TOUCHED_PROBABILITY) / (s * found))
         value += (1 - found) @ np.log(TOUCHED_PROBABILITY / (w * (1 - found)))
-        return float(value), found
+        return float(value), found, solution[: columns.shape[1]].astype(np.float64)
 
     def shows(self, untouched: Array) -> bool:
         """Return whether cells (n,) that nothing touches, by probability, are enough."""
@@ -241,6 +275,18 @@ class _Search:
             seen.append(free > 1 / 2)
         both = float((seen[0] & seen[1]).sum()) / np.unique(self._cell).size
         return min(parts) >= UNTOUCHED_PART and both >= SEEN_CELLS
+
+
+def _other_phases(
+    mean: Array, covariance: Array, terms: Sequence[Term], waves: list[int]
+) -> tuple[Array, Array]:
+    """Return mean and covariance of the terms where these `waves` of theirs have other phases."""
+    square = mean**2 + UNCERTAIN_SHARE * np.diag(covariance)
+    mean, covariance = mean.copy(), covariance.copy()
+    orders = np.array([terms[n].order for n in waves])
+    mean[waves] = covariance[waves, :] = covariance[:, waves] = 0.0
+    covariance[waves, waves] = [square[waves][orders == order].sum() / 2 for order in orders]
+    return mean, covariance
 
 
 def _root(covariance: Array, least: float) -> Array:

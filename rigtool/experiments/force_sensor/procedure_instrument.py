@@ -57,8 +57,10 @@ def of_this_instrument(
     """
     hand = largest_friction(model, observed)
     forms = list(zip(*(part.passes for r in read for part in r.parts), strict=True))
-    both = [unknown_friction(form, hand) for form in forms]
-    found = max(filter(None, both), key=lambda one: one.size, default=None)
+    bare = unknown_friction(forms[1], hand)
+    given = unknown_friction(forms[0], hand, bare.size if bare else 0.0)
+    both = [one for one in (given, bare) if one]
+    found = max(both, key=lambda one: one.size, default=None)
     share, notes = unknown_share(forms[0]), []
     if share:
         notes.append(
@@ -91,10 +93,11 @@ def of_this_instrument(
         )
     elif found.over_u > DOUBTED:
         gain = 2 * found.size / friction_at_output(model)
-        by, share = math.hypot(by, found.widening), math.hypot(share, gain)
+        wider = max(one.widening for one in both)
+        by, share = math.hypot(by, wider), math.hypot(share, gain)
         notes.append(
             f"friction of {found.size * 1e3:.3g} mN m opposes motion in both directions and "
-            f"{tables.path} does not hold: u is wider by {found.widening * 1e3:.3g} mN m, and by "
+            f"{tables.path} does not hold: u is wider by {wider * 1e3:.3g} mN m, and by "
             f"{100 * gain:.1f} % of the torque, since friction and load may both be read too "
             "large or too small; the encoder was zeroed elsewhere, or the instrument or the torque "
             "constant has changed: learn again"
@@ -103,6 +106,12 @@ def of_this_instrument(
 
 
 def _of_zero(zero: EncoderZero, tables: Run) -> str:
+    if not zero.moved:
+        return (
+            f"friction along the angle is not what {tables.path} holds: u is wider by "
+            f"{zero.spread * 1e3:.3g} mN m; the tables are of another instrument or mounting, or "
+            "the encoder was zeroed elsewhere: learn again"
+        )
     return (
         f"the encoder shows {math.degrees(zero.moved):.1f}({math.degrees(zero.u):.1f}) deg of the "
         f"motor more than when {tables.path} was learned, by friction and ripple along the angle: "

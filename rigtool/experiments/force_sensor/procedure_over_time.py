@@ -143,7 +143,7 @@ def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: R
         )
     observed = not all(r.has("position_setpoint") for r in recorded)
     zero = _zero(read, recipe, model, reach, observed=observed)
-    if zero is not None:
+    if zero is not None and zero.moved:
         again = [
             read_recording(r, recipe, kt, model, reach, zero.moved) for r in recorded if r.size
         ]

@@ -16,6 +16,10 @@ Where H shows that the tables are of another instrument, all of m_d up to 2 H ma
 
     w^2 = mean over cells and directions of min(|m_d|, 2 H)^2,    u^2 + w^2 instead of u^2
 
+Ripple of another power-up may be found that is none, but this friction in one direction. With it
+taken off, this direction shows little, and the other twice the error. With H' < H of the torque as
+it is given, m_d of this torque counts up to 4 H - 2 H'.
+
 A load that opposes every motion alike, such as a damper, cannot be distinguished from friction.
 
 Friction that grows with the load more than the tables hold shows where something touches through a
@@ -128,10 +132,13 @@ class UnknownFriction:
     typical: float
 
 
-def unknown_friction(parts: Sequence[Passes], hand: float | None = None) -> UnknownFriction | None:
+def unknown_friction(
+    parts: Sequence[Passes], hand: float | None = None, bare: float = 0.0
+) -> UnknownFriction | None:
     """Return what the passes of stretches show; None where too few cells have both directions.
 
     Torque that drives a pass with more than `hand` N m is a hand that moves the rig, not friction.
+    `bare` N m is H of the torque from which no ripple was taken off.
     """
     cells = _untouched_cells(parts, hand)
     if len(cells) < FEWEST_CELLS:
@@ -142,7 +149,8 @@ def unknown_friction(parts: Sequence[Passes], hand: float | None = None) -> Unkn
     next_to = np.pad(np.where(up * down < 0, least, 0.0), 1, mode="edge")
     opposing = np.median([next_to[:-2], next_to[1:-1], next_to[2:]], axis=0)
     whole, usual = float(np.sqrt(np.mean(opposing**2))), float(np.median(size))
-    wide = float(np.sqrt(np.mean(np.minimum(np.abs([up, down]), 2 * whole) ** 2)))
+    limit = 4 * max(whole, bare) - 2 * whole
+    wide = float(np.sqrt(np.mean(np.minimum(np.abs([up, down]), limit) ** 2)))
     typical = float(np.abs(np.median(opposing / size)))
     return UnknownFriction(whole, wide, whole / usual, typical)
 

@@ -1,5 +1,6 @@
 """An encoder that was zeroed elsewhere is found by friction and ripple along the angle."""
 
+import functools
 import math
 
 import numpy as np
@@ -22,10 +23,12 @@ RIPPLE = {(1, 0): 0.3e-3, (1, 1): -0.2e-3, (2, 0): 0.1e-3, (2, 1): 0.8e-3}
 OTHER_RIPPLE = {(1, 0): -0.1e-3, (1, 1): 0.4e-3, (2, 0): 0.7e-3, (2, 1): -0.3e-3}
 
 
-def friction(angle):
-    """Friction of the housing by angle of the motor, N m at the motor."""
+def friction(angle, first=0.0, third=0.0, sixth=0.0, level=1.0):
+    """Friction of the housing by angle of the motor, N m at the motor; of another housing, its
+    waves have other phases."""
     output = angle / RATIO
-    return 2e-3 + 10e-3 + 1.2e-3 * np.cos(output) - 0.3e-3 * np.sin(3 * output)
+    waves = 1.2e-3 * np.cos(output + first) - 0.3e-3 * np.sin(3 * output + third)
+    return level * (2e-3 + 10e-3) + waves + 0.2e-3 * np.cos(6 * output + sixth)
 
 
 def ripple(angle, waves=RIPPLE):
@@ -36,9 +39,11 @@ def ripple(angle, waves=RIPPLE):
 
 
 def model():
-    terms = [Term(Kind.BEARING, 1.0), Term(Kind.HOUSING, 1.0), Term(Kind.HOUSING, 1.0, 1, 0)]
-    terms += [Term(Kind.HOUSING, 1.0, 3, 1), *(Term(Kind.RIPPLE, 1.0, *key) for key in RIPPLE)]
-    coefficient = np.array([2e-3, 10e-3, 1.2e-3, -0.3e-3, *RIPPLE.values()])
+    terms = [Term(Kind.BEARING, 1.0), Term(Kind.HOUSING, 1.0)]
+    terms += [Term(Kind.HOUSING, 1.0, order, quarter) for order in (1, 3, 6) for quarter in (0, 1)]
+    terms += [Term(Kind.RIPPLE, 1.0, *key) for key in RIPPLE]
+    coefficient = np.array([2e-3, 10e-3, 1.2e-3, 0.0, 0.0, -0.3e-3, 0.2e-3, 0.0])
+    coefficient = np.append(coefficient, list(RIPPLE.values()))
     size, known = len(SLIDING_PARAMETERS) + len(terms), Known(RATIO, FACTOR, 2e-5)
     shape = Shape(2e-3, 8e-3, 5e-3, 0.3, 0.03, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3)
     covariance = (0.05e-3) ** 2 * np.eye(size)
@@ -87,6 +92,29 @@ def test_the_zero_of_the_learning_is_left_alone(seed, waves):
     assert zero_of(passes(np.random.default_rng(seed), 0, waves=waves)) is None
 
 
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"first": -1.5, "third": -1.27, "sixth": 1.97},
+        {"first": 2.87, "third": -1.84, "sixth": 2.06},
+        {"first": 0.79, "third": 2.5, "sixth": 1.73, "level": 0.9},
+        {"first": -2.6, "third": -1.65, "sixth": 1.89, "level": 1.06},
+    ],
+)
+def test_friction_of_another_instrument_is_no_other_zero(monkeypatch, other):
+    """Waves of other phases at the learned zero look like the learned ones at other angles, by
+    which alone a zero would be found."""
+    own = passes(
+        np.random.default_rng(7), 0, cycles=4, by_friction=functools.partial(friction, **other)
+    )
+    found = zero_of(own)
+    assert found.moved == 0
+    left = FACTOR * (friction(ANGLE, **other) - friction(ANGLE))
+    assert found.spread == pytest.approx(np.sqrt(np.mean(left**2)), rel=0.15)
+    monkeypatch.setattr(_Search, "other_friction", lambda self, untouched: (-math.inf, 0.0))
+    assert zero_of(own).moved != 0
+
+
 def touches(cells, torque):
     def touch(values):
         values[::4, cells] += torque
@@ -94,8 +122,13 @@ def touches(cells, torque):
     return touch
 
 
-@pytest.mark.parametrize("torque", [-20e-3, 3e-3, 20e-3])
-@pytest.mark.parametrize("counts", [0, 300, -300])
+@pytest.mark.parametrize(
+    ("counts", "torque"),
+    [
+        *((0, t) for t in (-20e-3, 3e-3, 20e-3)),
+        *((n, t) for n in (300, -300) for t in (-20e-3, 5e-3, 20e-3)),
+    ],
+)
 def test_what_touches_is_no_other_zero(torque, counts):
     rng = np.random.default_rng(abs(counts))
     found = zero_of(passes(rng, counts, cycles=4, touch=touches(slice(None), torque)))
@@ -155,6 +188,9 @@ def test_another_zero_is_taken_at_long_odds_only(monkeypatch, log_odds, learned,
         def shows(self, untouched):
             return True
 
+        def other_friction(self, untouched):
+            return -math.inf, 0.0
+
         def mean(self, moved):
             return np.zeros(4)
 
@@ -163,29 +199,35 @@ def test_another_zero_is_taken_at_long_odds_only(monkeypatch, log_odds, learned,
 
 
 @pytest.mark.parametrize("again", [True, False])
-def test_what_passes_scatter_by_is_that_of_drawn_terms(again):
-    """By the learned covariance; of another power-up, the waves have drawn phases besides."""
-    rng, count, moved = np.random.default_rng(5), 4000, 0.3
+@pytest.mark.parametrize("anew", [True, False])
+def test_what_passes_scatter_by_is_that_of_drawn_terms(again, anew):
+    """By the learned covariance; of another power-up and of another instrument, the waves have
+    drawn phases besides, and the latter's friction another level."""
+    rng, count, moved = np.random.default_rng(5), 8000, 0.3
     own = passes(rng, 0)
     search = _Search(model(), REACH, own.direction, own.torque)
-    mean, root = search._hypotheses[0 if again else 1]
+    hypotheses = search._other_friction if anew else search._hypotheses
+    mean, root = hypotheses[0 if again else 1]
     waves = search._waves(moved)
     learned = model().learned
-    drawn = learned.coefficient + 0.05e-3 * rng.standard_normal((count, 8))
-    if not again:
-        for first, amplitude in ((4, math.hypot(0.3e-3, 0.2e-3)), (6, math.hypot(0.1e-3, 0.8e-3))):
-            phase = 2 * math.pi * rng.random(count)
-            drawn[:, first] = amplitude * np.cos(phase)
-            drawn[:, first + 1] = amplitude * np.sin(phase)
+    drawn = learned.coefficient + 0.05e-3 * rng.standard_normal((count, 12))
+    of_friction = {2: 1.2e-3, 4: 0.3e-3, 6: 0.2e-3}
+    of_ripple = {8: math.hypot(0.3e-3, 0.2e-3), 10: math.hypot(0.1e-3, 0.8e-3)}
+    for first, amplitude in ((of_friction if anew else {}) | ({} if again else of_ripple)).items():
+        phase = 2 * math.pi * rng.random(count)
+        drawn[:, first] = amplitude * np.cos(phase)
+        drawn[:, first + 1] = amplitude * np.sin(phase)
+    if anew:
+        drawn[:, :2] *= 1 + 0.2 * rng.standard_normal((count, 2))
     angle = ANGLE - moved
     functions = [np.ones(ANGLE_CELLS), np.ones(ANGLE_CELLS)]
-    functions += [np.cos(angle / RATIO), np.sin(3 * angle / RATIO)]
+    functions += [way(n * angle / RATIO) for n in (1, 3, 6) for way in (np.cos, np.sin)]
     both = [
         [*(way * one for one in functions), *(ripple(angle, {key: 1.0}) for key in RIPPLE)]
         for way in (1.0, -1.0)
     ]
     torques = FACTOR * drawn @ np.concatenate(both, axis=1)
-    np.testing.assert_allclose(waves @ mean, torques.mean(axis=0), atol=0.05e-3)
+    np.testing.assert_allclose(waves @ mean, torques.mean(axis=0), atol=0.1e-3 if anew else 0.05e-3)
     spread = waves @ root @ root.T @ waves.T
     size = np.max(np.var(torques, axis=0))
     np.testing.assert_allclose(spread, np.cov(torques.T), atol=0.08 * size)

@@ -62,7 +62,7 @@ def test_what_touches_is_found_by_expectation_and_maximisation(search, moved):
     mean, root = search._hypotheses[1]
     waves = search._waves(moved)
     off, columns = (waves @ mean - search._subtracted)[search._row], waves @ root
-    value, untouched = search._by_hypothesis(
+    value, untouched, terms = search._by_hypothesis(
         (waves @ mean - search._subtracted)[search._row], columns
     )
     s, w = search._noise, search._touched
@@ -89,6 +89,7 @@ def test_what_touches_is_found_by_expectation_and_maximisation(search, moved):
     expected += np.sum(found * np.log((1 - TOUCHED_PROBABILITY) / (s * found)))
     expected += np.sum((1 - found) * np.log(TOUCHED_PROBABILITY / (w * (1 - found))))
     assert value == pytest.approx(expected, rel=1e-8)
+    assert_allclose(terms, drawn[: columns.shape[1]], atol=1e-9)
 
 
 def test_the_likelier_hypothesis_counts(search):
@@ -116,6 +117,7 @@ def test_cells_that_were_not_learned_count_against_a_zero(search):
 def test_the_torque_of_another_zero_is_that_of_the_friction_in_one_direction(search):
     output = (ANGLE - 0.3) / RATIO
     friction = 12e-3 + 1.2e-3 * np.cos(output) - 0.3e-3 * np.sin(3 * output)
+    friction += 0.2e-3 * np.cos(6 * output)
     assert_allclose(search.mean(0.3), FACTOR * friction, rtol=1e-9)
 
 
@@ -172,6 +174,9 @@ class Given:
     def shows(self, untouched):
         return True
 
+    def other_friction(self, untouched):
+        return -math.inf, 0.0
+
     def mean(self, moved):
         return np.full(4, 5e-3 * moved)
 
@@ -220,6 +225,27 @@ def test_another_zero_is_a_thousand_times_likelier(given, more, found):
         0.0 if moved == 0 else level + more - ((moved - self.place) / self.spread) ** 2 / 2
     )
     assert (encoder_zero([parts()], model(), REACH, COUNT) is not None) == found
+
+
+@pytest.mark.parametrize(("more", "zero"), [(-0.2, True), (0.2, False)])
+def test_other_friction_is_a_tenth_as_likely_beforehand(given, more, zero):
+    """Where it is likelier, what it differs by is not in the tables."""
+    level = 100 + math.log(10) / ROW_EVIDENCE
+    given.other_friction = lambda self, untouched: (level + more, 3e-3)
+    found = encoder_zero([parts()], model(), REACH, COUNT)
+    assert (found.moved != 0) == zero
+    assert found.spread == pytest.approx(5e-3 * given.spread if zero else 3e-3, rel=0.02)
+
+
+def test_what_touches_is_searched_for_from_what_is_given(search):
+    """The likelier ripple counts; the bound rises from wherever it begins."""
+    touched = np.full(len(search._torque), 1e-6)
+    waves, found = search._waves(0.0), []
+    for mean, root in search._other_friction:
+        off = (waves @ mean - search._subtracted)[search._row]
+        found.append(search._by_hypothesis(off, waves @ root, touched)[0])
+        assert found[-1] != search._by_hypothesis(off, waves @ root)[0]
+    assert search.other_friction(touched)[0] == max(found)
 
 
 @pytest.mark.parametrize("cycles", [2, 6, 20])

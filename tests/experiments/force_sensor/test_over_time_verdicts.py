@@ -50,8 +50,10 @@ def judged(monkeypatch, forms, share=0.0, zero=None, observed=False):
     """Return by how much u is widened, notes, and the hands that passes were looked at with."""
     seen, hands = [], []
 
-    def unknown(form, hand):
+    def unknown(form, hand, bare=0.0):
         hands.append(hand)
+        if form[0] == "with":
+            assert bare == (forms["without"].size if forms["without"] else 0.0)
         return forms[form[0]]
 
     quiet = {"unknown_share": share, "lasting_torque": 0.0, "driven_part": 0.0}
@@ -87,6 +89,9 @@ def test_the_form_of_larger_unknown_friction_counts(monkeypatch, observed):
     assert "friction of 3 mN m opposes" in notes[-1]
     assert "wider by 4 mN m" in notes[-1]
     assert hands == [largest_friction(Model(), observed)] * 2
+    forms["with"] = friction(2e-3, 5e-3)  # the torque that is given, with friction as ripple off
+    widened, notes, _ = judged(monkeypatch, forms, observed=observed)
+    assert widened == (pytest.approx(5e-3), gain(3e-3))
     widened, notes, _ = judged(monkeypatch, {"with": friction(2e-3), "without": None})
     assert "friction of 2 mN m" in notes[-1]
 
@@ -122,6 +127,11 @@ def test_another_zero_and_friction_under_load_are_in_u_and_noted(monkeypatch, sh
     widened, notes, _ = judged(monkeypatch, {"with": None, "without": None}, share, zero)
     assert widened == (3e-3, pytest.approx(abs(share)))
     assert "was not checked" in notes[2]
+    other = EncoderZero(0.0, math.radians(0.7), 3e-3)
+    widened, notes, _ = judged(monkeypatch, {"with": one, "without": one}, zero=other)
+    assert widened == (pytest.approx(5e-3), gain(1e-3))
+    assert "friction along the angle is not what" in notes[0]
+    assert "wider by 3 mN m; the tables are of another instrument" in notes[0]
     quiet = friction(1e-3, over_u=0.1)
     assert judged(monkeypatch, {"with": quiet, "without": quiet}, 0.0, None)[:2] == ((0, 0), [])
 
@@ -226,10 +236,11 @@ def test_a_constant_of_half_as_much_again_is_another_motors(ratio, refused, monk
         require_calibration(given, own)
 
 
-@pytest.mark.parametrize("again", [False, True])
-def test_a_zero_that_is_found_once_more_was_another_thing(monkeypatch, again):
-    """Recordings are read with it taken off, and kept where nothing of it is left."""
-    module, zero = procedure_over_time, SimpleNamespace(moved=0.2)
+@pytest.mark.parametrize(("again", "moved"), [(True, 0.2), (False, 0.2), (True, 0.0)])
+def test_a_zero_that_is_found_once_more_was_another_thing(monkeypatch, again, moved):
+    """Recordings are read with it taken off, and kept where nothing of it is left; other friction
+    by angle is judged as it is."""
+    module, zero = procedure_over_time, SimpleNamespace(moved=moved)
     channels = (*module.NEEDED_CHANNELS, "position_setpoint")
 
     def recording(name, size=9, has=channels):
@@ -263,7 +274,7 @@ def test_a_zero_that_is_found_once_more_was_another_thing(monkeypatch, again):
     tables = SimpleNamespace(recipe=recipe, path="tables.h5")
     found = module.analyse_over_time([run], recipe, kt=None, tables=tables)
     assert found.notes == ("own", "judged")
-    expected = (None, 0.0) if again else (zero, 0.2)
+    expected = (None, 0.0) if again and moved else (zero, moved)
     assert (given["zero"], given["read"]) == (expected[0], [("one", expected[1])])
     assert not given["observed"]
     made[0].has = channels[:-1].__contains__

@@ -301,12 +301,12 @@ def test_a_loop_of_1_khz_gives_force_as_it_comes(rig):
         np.testing.assert_array_equal(found[name], column[:size])
 
 
-def changed(rig, tmp_path, change):
+def changed(rig, tmp_path, change, name="strokes.h5"):
     """Store the strokes with other signals; return path and signals."""
-    with open_run(rig.folder / "strokes.h5") as stored:
+    with open_run(rig.folder / name) as stored:
         recording = next(iter(stored.recordings.values()))
         spec = RecordingSpec("strokes_000", recording.channels, {})
-        signals = change(signals_of(rig.folder / "strokes.h5"))
+        signals = change(signals_of(rig.folder / name))
         path = tmp_path / "broken.h5"
         with RunWriter(
             path,
@@ -451,20 +451,31 @@ def test_samples_that_are_too_coarse_give_no_force_as_it_comes(rig, change):
 
 
 @pytest.mark.parametrize("counts", [0, 300])
-def test_an_encoder_that_was_zeroed_elsewhere_is_found_and_corrected(
-    rig, strokes, tmp_path, counts
-):
-    source, _ = changed(rig, tmp_path, lambda own: {**own, "encoder": own["encoder"] + counts})
+def test_an_encoder_that_was_zeroed_elsewhere_is_found_and_corrected(rig, tmp_path, counts):
+    own = rig(8.0, "measure_force.speed_rev_per_s=0.5", source=RECIPE, name="alone.h5")
+    source, _ = changed(
+        rig, tmp_path, lambda own: {**own, "encoder": own["encoder"] + counts}, "alone.h5"
+    )
     found = run(MEASURE_FORCE, source, tmp_path / "moved.h5", kt=KT, tables=rig.tables)
     said = [note for note in found.notes if "the encoder shows" in note]
     assert bool(said) == bool(counts)
     if said:
         degrees = float(re.search(r"shows (-?[\d.]+)\(", said[0]).group(1))
         assert degrees == pytest.approx(counts * 360 / 4000, abs=6)
-    own, table = strokes.tables["force"], found.tables["force"]
+    own, table = own.tables["force"], found.tables["force"]
     there = np.isfinite(own["torque"]) & np.isfinite(table["torque"])
     assert there.mean() > 0.9
     assert np.sqrt(np.mean((table["torque"] - own["torque"])[there] ** 2)) < 0.35e-3
+
+
+def test_a_zero_that_other_friction_explains_as_well_is_in_doubt(rig, strokes, tmp_path):
+    """Something touches in a third of these few passes."""
+    source, _ = changed(rig, tmp_path, lambda own: {**own, "encoder": own["encoder"] + 300})
+    found = run(MEASURE_FORCE, source, tmp_path / "moved.h5", kt=KT, tables=rig.tables)
+    assert [note for note in found.notes if "friction along the angle is not what" in note]
+    own, table = strokes.tables["force"], found.tables["force"]
+    there = np.isfinite(own["u"]) & np.isfinite(table["u"])
+    assert np.median((table["u"] / own["u"])[there]) > 2
 
 
 def test_tables_of_another_instrument_are_refused(rig):

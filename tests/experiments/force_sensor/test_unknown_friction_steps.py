@@ -141,6 +141,11 @@ def test_friction_is_what_opposes_both_directions():
     assert found.typical == pytest.approx(np.median(smooth / u))
     both = np.minimum(np.abs([up, down]), 2 * size)
     assert found.widening == pytest.approx(math.sqrt(np.mean(both**2)))
+    for bare in (0.5 * size, 1.5 * size):  # ripple that hides friction makes the rest larger
+        both = np.minimum(np.abs([up, down]), 4 * max(size, bare) - 2 * size)
+        wider = unknown_friction([cells(up, down, u)], bare=bare)
+        assert wider.widening == pytest.approx(math.sqrt(np.mean(both**2)))
+        assert wider.size == found.size
     # tables that hold too much drive every pass
     turned = unknown_friction([cells(-up, -down, u)])
     assert turned == found
