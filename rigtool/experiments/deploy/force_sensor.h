@@ -94,7 +94,7 @@ enum {
 
 /* Of the ripple that a power-up draws: waves, orders that grow with the current, and the states of
  * what learns it, torque first. */
-enum { RS_WAVES = 12, RS_GROWING = 6, RS_PARTS = RS_WAVES + 1 };
+enum { RS_WAVES = 12, RS_GROWING = RS_WAVES / 2, RS_PARTS = RS_WAVES + 1 };
 
 /* Columns of the rotor's map. */
 enum { RS_COGGING, RS_RIPPLE, RS_GAIN, RS_SQUARE, RS_VISCOUS, RS_COLUMNS };

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.model import GAIN_ORDERS, RIPPLE_ORDERS, Kind
+from rigtool.experiments.force_model.model import RIPPLE_ORDERS, Kind
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.numerics.arrays import Array
 
@@ -43,7 +43,7 @@ def learned_ripple(model: ForceModel) -> tuple[Array, Array, Array]:
         return total
 
     still = waves((Kind.RIPPLE, Kind.COGGING), RIPPLE_ORDERS)
-    gain, bent = (waves((k,), GAIN_ORDERS) for k in (Kind.GAIN_RIPPLE, Kind.SQUARE_RIPPLE))
+    gain, bent = (waves((k,), RIPPLE_ORDERS) for k in (Kind.GAIN_RIPPLE, Kind.SQUARE_RIPPLE))
     growing = np.column_stack([squares(gain, gain), 2 * squares(gain, bent), squares(bent, bent)])
     doubt = np.sum(still @ covariance * still, axis=1).reshape(-1, 2).sum(axis=1)
     drawn = (squares(still, still) + UNCERTAIN_SHARE * doubt) / 2

@@ -16,7 +16,7 @@ import numpy as np
 
 from rigtool.experiments.force_filter import passed
 from rigtool.experiments.force_filter.plant import Record
-from rigtool.experiments.force_model.model import GAIN_ORDERS, RIPPLE_ORDERS
+from rigtool.experiments.force_model.model import RIPPLE_ORDERS
 from rigtool.experiments.force_sensor.lasting_contact import (
     DRIFT,
     counted,
@@ -138,7 +138,7 @@ STATE = np.dtype(
         ("level", "f8", (2,)),
         ("level_variance", "f8", (2,)),
         ("fast", "f8"),
-        ("growing", "f8", (len(GAIN_ORDERS), 3)),  # by powers of the current
+        ("growing", "f8", (len(RIPPLE_ORDERS), 3)),  # by powers of the current
         ("doubted", "f8"),  # the wave whose doubt grows next
         ("passed", "f8", (passed.LOW_PASS_ORDER,)),
     ]

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.signal import butter, lfilter
 
 from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, STATES, TORQUE
-from rigtool.experiments.force_model.model import GAIN_ORDERS, RIPPLE_ORDERS, Kind, Term
+from rigtool.experiments.force_model.model import RIPPLE_ORDERS, Kind, Term
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.experiments.force_sensor.drawn_ripple import UNCERTAIN_SHARE, learned_ripple
 from rigtool.experiments.force_sensor.lasting_contact import LASTING, LASTS
@@ -76,7 +76,7 @@ def test_another_power_up_has_the_amplitude_of_each_order_and_a_part_of_still_on
         expected = square((Kind.RIPPLE, Kind.COGGING), order, share=UNCERTAIN_SHARE) / 2
         assert_allclose(drawn[2 * order - 2 : 2 * order], expected)
     gain, bent = (Kind.GAIN_RIPPLE,), (Kind.SQUARE_RIPPLE,)
-    for order in GAIN_ORDERS:
+    for order in RIPPLE_ORDERS:
         # |g + h |i||^2 = g g + 2 g h |i| + h h i^2
         expected = square(gain, order), 2 * square(gain, order, bent), square(bent, order)
         assert_allclose(growing[order - 1], expected, atol=1e-18)
@@ -181,7 +181,7 @@ def test_each_step_gives_mean_and_variance_of_what_is_known():
         fresh = np.where(np.arange(count) % 2, np.sin(orders * angle[k]), np.cos(orders * angle[k]))
         before = before + (1 - math.exp(-step / LEARNED.shape.ripple_time)) * (fresh - before)
         assert_allclose(s["waves"], np.append(before, taken[k]))
-        squares = (before**2).reshape(-1, 2).sum(axis=1)[: len(GAIN_ORDERS)]
+        squares = (before**2).reshape(-1, 2).sum(axis=1)[: len(RIPPLE_ORDERS)]
         grows = s["growing"] @ np.abs(current[k]) ** np.arange(3)
         assert_allclose(by_current, [(factor * 0.045 * current[k]) ** 2 * grows @ squares])
         *seen, left = factor * s["seen"]
