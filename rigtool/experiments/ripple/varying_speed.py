@@ -19,8 +19,7 @@ from rigtool.numerics.arrays import Array, ComplexArray
 POINTS = 16384
 """Points of a turn between which waves are straight: order 100 loses a ten-thousandth."""
 
-
-ORDERS = 30
+SPEED_ORDERS = 30
 """Orders by which ripple varies the speed: the inertia holds higher ones."""
 
 
@@ -30,7 +29,7 @@ def speed_variation(elapsed: Array) -> float:
     `elapsed` (n,) at the edges of n - 1 cells, as in `orders.Ripple`.
     """
     cells = len(elapsed) - 1
-    late = np.fft.rfft(elapsed[:-1] - np.arange(cells) / cells)[1 : ORDERS + 1] * (2 / cells)
+    late = np.fft.rfft(elapsed[:-1] - np.arange(cells) / cells)[1 : SPEED_ORDERS + 1] * (2 / cells)
     return float(np.linalg.norm(2 * np.pi * np.arange(1, len(late) + 1) * late)) / np.sqrt(2)
 
 

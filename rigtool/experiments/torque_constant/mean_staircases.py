@@ -18,11 +18,7 @@ from numpy.typing import ArrayLike
 from rigtool.experiments.torque_constant.arm_motion import Arm, Contacts, arm_of
 from rigtool.experiments.torque_constant.friction_cone import possible
 from rigtool.experiments.torque_constant.staircase_model import Common, Stairs, mean_of, winding
-from rigtool.experiments.torque_constant.swings import (
-    friction_state,
-    paths,
-    straight_path,
-)
+from rigtool.experiments.torque_constant.swings import friction_state, paths, straight_path
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.residual_covariance import independent_samples
 
@@ -132,14 +128,12 @@ class MeanStaircases:
         self, current: Array, lost: list[Array], friction: Sequence[Array]
     ) -> tuple[Array, Array, Array, Array, Array]:
         """Return what `_fit` does, and what heat adds (s,)."""
-        smooth = np.stack([current, self._weight, self._step, *lost], axis=2)
-        plain = np.broadcast_to(smooth, (len(friction[0]), *smooth.shape))
-        curved = np.broadcast_to((current * np.abs(current))[..., None], (*plain.shape[:3], 1))
-        q, r = np.linalg.qr(np.concatenate([plain, np.stack(friction, axis=3), curved], axis=3))
+        q, r = self._factors(current, lost, friction)
         projected = np.swapaxes(q, 2, 3) @ self._torque
         rest = self._torque[..., 0] - (q @ projected[..., :1])[..., 0]
         square = np.sum(rest**2, axis=2) @ self._share
-        found, inverse = np.linalg.solve(r, projected), np.linalg.inv(r)
+        found: Array = np.asarray(np.linalg.solve(r, projected), dtype=np.float64)
+        inverse: Array = np.asarray(np.linalg.inv(r), dtype=np.float64)
         level = found[..., -3, 0] @ self._share
         cover = inverse[..., -3:-1, :] @ np.swapaxes(inverse[..., -3:-1, :], 2, 3)
         variance = np.maximum(square, 1e-300) / self.dof
@@ -150,9 +144,8 @@ class MeanStaircases:
         square = np.where(level > LARGEST_FRICTION * self._span, np.inf, square)
         # The ripple's i |i| averages out over angles; as a column it would take most of the slope.
         found = np.linalg.solve(r[..., :-1, :-1], projected[..., :-1, :])[..., :-2, :]
-        follows = -np.linalg.solve(
-            r[..., :-3, :-3], r[..., :-3, -3:-1]
-        )  # all else as friction does
+        # All else follows what is possible for friction.
+        follows = -np.linalg.solve(r[..., :-3, :-3], r[..., :-3, -3:-1])
         found[..., 0] += np.einsum("sgcf,sgf->sgc", follows, left.shift)
         mean = found[..., 0, 0] @ self._share
         slope, spread = np.zeros((2, len(mean), 3))
@@ -164,6 +157,17 @@ class MeanStaircases:
             added = found[..., 3, 0] @ self._share
             slope[:, 2], spread[:, 2] = -added / mean, varied[..., 3] @ self._share**2 / mean**2
         return square, slope, spread * (level <= 0)[:, None], level <= 0, added
+
+    def _factors(
+        self, current: Array, lost: list[Array], friction: Sequence[Array]
+    ) -> tuple[Array, Array]:
+        """Return QR factors (s, g, p, c), (s, g, c, c) of (1) for columns of friction (s, g, p);
+        theirs are the last two before the ripple's i |i|."""
+        smooth = np.stack([current, self._weight, self._step, *lost], axis=2)
+        plain = np.broadcast_to(smooth, (len(friction[0]), *smooth.shape))
+        curved = np.broadcast_to((current * np.abs(current))[..., None], (*plain.shape[:3], 1))
+        q, r = np.linalg.qr(np.concatenate([plain, np.stack(friction, axis=3), curved], axis=3))
+        return q, r
 
     def smooth(self, common: Common) -> None:
         """Take off the courses what a hypothesis leaves of the mean torques, as noise; and off
@@ -214,10 +218,8 @@ class MeanStaircases:
     def _levels(self, time_constant: float, a: Array, b: Array) -> tuple[Array, Array]:
         """Return friction's largest torque (n,) and state (n, g, p) for its columns (n, g, p)."""
         current, lost = self.thermal(time_constant)
-        smooth = [current, self._weight, self._step, lost, current * np.abs(current)]
-        plain = np.broadcast_to(np.stack(smooth, axis=2), (*a.shape, len(smooth)))
-        q, r = np.linalg.qr(np.concatenate([plain, a[..., None], b[..., None]], axis=3))
-        found = np.linalg.solve(r, np.swapaxes(q, 2, 3) @ self._torque[..., :1])[..., 5:, 0]
+        q, r = self._factors(current, [lost], [a, b])
+        found = np.linalg.solve(r, np.swapaxes(q, 2, 3) @ self._torque[..., :1])[..., -3:-1, 0]
         level = found[..., 0] @ self._share
         along = a * found[..., :1] + b * found[..., 1:]
         state = np.clip(-along / np.maximum(level, 1e-300)[:, None, None], -1.0, 1.0)
