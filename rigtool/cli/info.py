@@ -36,6 +36,8 @@ def command(path: str, plot: str | None, budget: str | None) -> None:
     from rigtool.runfile import open_run
     from rigtool.runfile.summary import budget_lines, folded
 
+    if budget is not None and plot is not None:
+        raise UsageError("--budget and --plot each show something else: give one of them")
     to = current_output()
     with open_run(path) as run:
         if budget is not None:

@@ -14,6 +14,7 @@ Each `Command` has the options of `OUTPUT_OPTIONS`; their values are in the `Out
 from __future__ import annotations
 
 import functools
+import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -57,9 +58,16 @@ class Integer(click.IntRange):
 
 
 class Number(click.FloatRange):
-    """A number within bounds, under the name that a message and a help give it."""
+    """A finite number within bounds, under the name that a message and a help give it."""
 
     name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number; every comparison with NaN is false, those with the bounds, too."""
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a finite number.", param, ctx)
+        return number
 
 
 class Command(click.Command):

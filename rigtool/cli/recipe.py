@@ -34,28 +34,31 @@ def command(name: str | None, output: str | None, firmware: str | None) -> None:
     Without NAME, lists them, each with what it describes. Without -o, prints the recipe. Mappings
     of imports are among them, as import/NAME.
     """
+    from rigtool.errors import UsageError
     from rigtool.recipe.shipped import recipe_title, shipped_recipe, shipped_recipes
+    from rigtool.runfile.outputs import replacing, require_output
 
-    to = current_output()
+    to, known = current_output(), shipped_recipes()
     found: dict[str, Any] = {}
+    text = None if name is None else shipped_recipe(name)
+    if output is not None:
+        if name is None:
+            raise UsageError(f"-o {output}: give the NAME of the recipe to write there")
+        copy = require_output(output, overwrite=to.overwrite, inputs=[known[name]])
     if firmware is not None:
         found["firmware"] = _copy_firmware(name, Path(firmware), to)
-    if name is None:
-        known = shipped_recipes()
+    if text is None:
         for each, path in known.items():
             to.line(f"{each:{max(map(len, known))}}  {recipe_title(path)}")
         found["recipes"] = list(known)
-    elif output is not None:
-        from rigtool.runfile.export import write_new
-
-        text = shipped_recipe(name)
-        inputs = [shipped_recipes()[name]]
-        write_new(Path(output), to.overwrite, lambda path: path.write_text(text, "utf-8"), inputs)
-        to.written(output, f"recipe {name}")
-    elif firmware is None:
-        to.line(shipped_recipe(name), nl=False)
-    if name is not None:
-        found["recipe"] = shipped_recipe(name)
+    else:
+        found["recipe"] = text
+        if output is not None:
+            with replacing(copy) as new:
+                new.write_text(text, "utf-8")
+            to.written(output, f"recipe {name}")
+        elif firmware is None:
+            to.line(text, nl=False)
     to.document(output=output, **found)
 
 

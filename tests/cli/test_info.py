@@ -164,6 +164,8 @@ def test_plot(path, tmp_path):
     assert isinstance(again.exception, UsageError)
     wrong = CliRunner().invoke(command, [str(path), "--plot", str(tmp_path / "a.docx")])
     assert isinstance(wrong.exception, UsageError)
+    both = ["--plot", str(tmp_path / "b.svg"), "--budget", "torque_constant"]
+    assert isinstance(CliRunner().invoke(command, [str(path), *both]).exception, UsageError)
     assert [item.name for item in tmp_path.iterdir()] == ["a.svg"]
 
 

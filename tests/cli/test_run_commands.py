@@ -52,6 +52,10 @@ def test_diff(tmp_path, capsys):
     assert out.splitlines()[0] == "recordings/sweep: 100 samples | 101"
     assert call(capsys, "diff", a, tmp_path / "c.h5")[0] == 3
     assert call(capsys, "diff", a, b, "--rtol", "-1")[0] == 2
+    for number in ("nan", "inf"):
+        code, out, err = call(capsys, "diff", a, b, "--rtol", number)
+        assert (code, out) == (2, "")
+        assert f"{number} is not a finite number" in err
 
 
 def test_export(tmp_path, capsys):

@@ -85,6 +85,15 @@ def test_firmware_comes_with_the_recipe_of_an_own_target(tmp_path, capsys):
     assert "board_encoder" in (folder / "port_example.c").read_text()
 
 
+def test_an_output_that_cannot_be_written_is_found_before_anything_is(tmp_path, capsys):
+    (tmp_path / "rig.toml").write_text("mine")
+    folder = tmp_path / "firmware"
+    assert copied("own-target", "--firmware", folder, "-o", tmp_path / "rig.toml") == 2
+    assert not folder.exists()
+    assert copied("-o", tmp_path / "other.toml") == 2
+    assert "give the NAME" in capsys.readouterr().err
+
+
 def test_firmware_belongs_to_one_recipe_and_into_a_folder(tmp_path, capsys):
     assert copied("moteus-r4", "--firmware", tmp_path) == 2
     assert "rigtool recipe own-target --firmware" in capsys.readouterr().err
