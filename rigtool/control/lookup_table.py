@@ -15,6 +15,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rigtool.numerics.arrays import Array, Mask
 
@@ -28,6 +29,23 @@ def blend(flat: Array, cell: Any, count: int, across: Any, along: Any) -> Any:
     lower = lower + across * (flat[cell + 1] - lower)
     upper = upper + across * (flat[cell + count + 1] - upper)
     return lower + along * (upper - lower)
+
+
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """How a table is interpolated over speed, without the rows that the amplitude table makes.
+
+    Node j (m,), at `speed` rad/s, has `factor` times row `row` of the table; linear between nodes:
+    so is the product of factor and row, and one bilinear interpolation covers all speeds.
+    """
+
+    speed: Array
+    row: NDArray[np.int64]
+    factor: Array
+
+    def rows(self, torque: Array) -> Array:
+        """Return the rows (m, n) of a table (rows, n) written out."""
+        return self.factor[:, None] * torque[self.row]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +71,12 @@ class LookupTable:
 
     def __post_init__(self) -> None:
         self._check()
-        speeds, rows = self._with_low_speeds()
+        at = self.nodes
+        rows = at.rows(self.torque)
         if self.period is not None:
-            rows = np.ascontiguousarray(np.column_stack([rows, rows[:, 0]]))
-        object.__setattr__(self, "_speeds", speeds)
-        object.__setattr__(self, "_rows", rows)
+            rows = np.column_stack([rows, rows[:, 0]])
+        object.__setattr__(self, "_speeds", at.speed)
+        object.__setattr__(self, "_rows", np.ascontiguousarray(rows))
 
     def evaluate(self, position: Array, speed: Array) -> Array:
         """Return the torque, N m, at each set point (n,), clamped to the learned range."""
@@ -95,22 +114,21 @@ class LookupTable:
         within &= (speed >= self._speeds[0] - slack) & (speed <= self._speeds[-1] + slack)
         return within
 
-    def _with_low_speeds(self) -> tuple[Array, Array]:
-        """Return speeds and rows with one row for each low speed: amplitude times lowest row.
-
-        This product is linear between low speeds, so one bilinear interpolation covers all speeds.
-        """
-        negative, positive = self.speed < 0, self.speed > 0
-        speeds, rows = [np.zeros(1)], [np.zeros((1, self.position.size))]
-        if positive.any():
-            low = self.amplitude[1:-1, None] * self.torque[positive][0]
-            speeds += [self.low_speed[1:-1], self.speed[positive]]
-            rows += [low, self.torque[positive]]
-        if negative.any():
-            low = self.amplitude[-2:0:-1, None] * self.torque[negative][-1]
-            speeds = [self.speed[negative], -self.low_speed[-2:0:-1], *speeds]
-            rows = [self.torque[negative], low, *rows]
-        return np.concatenate(speeds), np.ascontiguousarray(np.concatenate(rows))
+    @property
+    def nodes(self) -> Nodes:
+        """Where the table is interpolated over speed: at rest, at low and at learned speeds."""
+        index = np.arange(self.speed.size)
+        low, amplitude = self.low_speed[1:-1], self.amplitude[1:-1]
+        speeds, rows, factors = [np.zeros(1)], [np.zeros(1, dtype=np.int64)], [np.zeros(1)]
+        if (forward := index[self.speed > 0]).size:
+            speeds += [low, self.speed[forward]]
+            rows += [np.full(low.size, forward[0]), forward]
+            factors += [amplitude, np.ones(forward.size)]
+        if (backward := index[self.speed < 0]).size:
+            speeds[:0] = [self.speed[backward], -low[::-1]]
+            rows[:0] = [backward, np.full(low.size, backward[-1])]
+            factors[:0] = [np.ones(backward.size), amplitude[::-1]]
+        return Nodes(np.concatenate(speeds), np.concatenate(rows), np.concatenate(factors))
 
     def _check(self) -> None:
         for name in ("position", "speed", "torque", "low_speed", "amplitude"):

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.escapes import c_comment
-from rigtool.experiments.deploy.quantised_table import loss, nodes, quantise
+from rigtool.experiments.deploy.quantised_table import loss, quantise
 from rigtool.experiments.learning.learned_table import COULOMB, VISCOUS, LearnedTable
 from rigtool.numerics.arrays import Array
 
@@ -89,7 +89,7 @@ def header(learned: LearnedTable, stem: str, *, short: bool) -> tuple[str, str]:
     `stem` is the file's name without its ending; the names in the header begin with it.
     """
     table, name = learned.table, identifier(stem)
-    macro, at, unit = name.upper(), nodes(learned.table), c_comment(learned.unit)
+    macro, at, unit = name.upper(), learned.table.nodes, c_comment(learned.unit)
     if short:
         quantised = quantise(table.torque, INT16)
         entries: Array | NDArray[np.int64] = quantised.codes

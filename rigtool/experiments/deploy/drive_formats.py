@@ -13,7 +13,7 @@ import numpy as np
 
 from rigtool.experiments.deploy.fourier_table import fourier_series
 from rigtool.experiments.deploy.position_map import PositionMap
-from rigtool.experiments.deploy.quantised_table import held_values, interpolated_codes, nodes
+from rigtool.experiments.deploy.quantised_table import held_values, interpolated_codes
 from rigtool.experiments.learning.learned_table import LearnedTable
 from rigtool.numerics.arrays import Array
 
@@ -143,7 +143,7 @@ def table_matlab(learned: LearnedTable) -> tuple[dict[str, Any], str]:
 
 def _written_out(learned: LearnedTable) -> tuple[Array, Array, Array]:
     """Return speeds (m,), torque (m, n) and u (m, n) with the amplitude table as rows."""
-    at = nodes(learned.table)
+    at = learned.table.nodes
     return at.speed, at.rows(learned.table.torque), at.rows(learned.u)
 
 

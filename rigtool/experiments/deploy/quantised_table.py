@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.control.lookup_table import LookupTable
 from rigtool.experiments.deploy.position_map import TURN, PositionMap
 from rigtool.numerics.arrays import Array
 
@@ -67,38 +66,6 @@ def quantise(values: Array, largest_code: int, step: float = 0.0) -> Quantised:
         return Quantised(np.zeros(values.shape, dtype=np.int64), 0.0)
     codes = np.clip(np.rint(values / scale), -largest_code, largest_code).astype(np.int64)
     return Quantised(codes, scale)
-
-
-@dataclass(frozen=True, eq=False)
-class Nodes:
-    """How a table is interpolated over speed, without the rows that the amplitude table makes.
-
-    Node j (m,), at `speed` rad/s, has `factor` times row `row` of the table; linear between nodes.
-    """
-
-    speed: Array
-    row: NDArray[np.int64]
-    factor: Array
-
-    def rows(self, torque: Array) -> Array:
-        """Return the rows (m, n) of a table (rows, n) written out."""
-        return self.factor[:, None] * torque[self.row]
-
-
-def nodes(table: LookupTable) -> Nodes:
-    """Return the nodes of a table, rest and low speeds included."""
-    index = np.arange(table.speed.size)
-    low, amplitude = table.low_speed[1:-1], table.amplitude[1:-1]
-    speeds, rows, factors = [np.zeros(1)], [np.zeros(1, dtype=np.int64)], [np.zeros(1)]
-    if (forward := index[table.speed > 0]).size:
-        speeds += [low, table.speed[forward]]
-        rows += [np.full(low.size, forward[0]), forward]
-        factors += [amplitude, np.ones(forward.size)]
-    if (backward := index[table.speed < 0]).size:
-        speeds[:0] = [table.speed[backward], -low[::-1]]
-        rows[:0] = [backward, np.full(low.size, backward[-1])]
-        factors[:0] = [np.ones(backward.size), amplitude[::-1]]
-    return Nodes(np.concatenate(speeds), np.concatenate(rows), np.concatenate(factors))
 
 
 @dataclass(frozen=True, eq=False)

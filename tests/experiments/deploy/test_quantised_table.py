@@ -10,7 +10,6 @@ from rigtool.experiments.deploy.position_map import TURN, PositionMap, position_
 from rigtool.experiments.deploy.quantised_table import (
     held_values,
     interpolated_codes,
-    nodes,
     quantise,
 )
 from tests.control.test_lookup_table import points, table
@@ -40,7 +39,7 @@ def test_nodes_written_out_are_the_table(keep):
     """Linear between nodes, by numpy: the same as the table's own interpolation."""
     learned = table()
     learned = table(speed=learned.speed[keep], torque=learned.torque[keep])
-    at = nodes(learned)
+    at = learned.nodes
     rows = at.rows(learned.torque)
     position, speed = points(500)
     across = np.stack([np.interp(position, learned.position, row) for row in rows])
