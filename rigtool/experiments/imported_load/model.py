@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -193,7 +193,7 @@ class Paces:
 @dataclass(frozen=True, eq=False)
 class LoadModel:
     """A model of both directions, positive speed first, from strokes with middles `strokes` (s,)
-    at `paces`; fewer than two are unknown.
+    at `paces`.
 
     Effort is in units of `effort_scale`; `torque_range` are the lowest and highest torque that are
     looked at, without unit; `direction` is the sign of the speed against which the load acts;
@@ -211,8 +211,8 @@ class LoadModel:
     region: Region
     loop: StrokeLoop
     noise: LearnedNoise
+    paces: Paces
     slack: float = 0.0
-    paces: Paces = field(default_factory=lambda: Paces(*np.empty((3, 0))))
 
     def place(self, path: ShaftPath) -> Array:
         """Return the position (n,) as part of the learned stroke."""

@@ -219,8 +219,8 @@ def load_model_from(run: Run) -> tuple[LoadModel, str]:
 
 
 def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
-    terms, covariance, scales, scatter, factors, region, strokes, noise, loop = (
-        tables[MODEL_TABLE + part] for part in _PARTS if part != "_paces"
+    terms, covariance, scales, scatter, factors, region, strokes, paces, noise, loop = (
+        tables[MODEL_TABLE + part] for part in _PARTS
     )
     sides = []
     for number, sign in enumerate(SIDE_SIGNS):
@@ -239,11 +239,7 @@ def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
                 factors=factors["factor"][own],
                 slope=float(scatter["slope"][number]),
                 elsewhere=float(scatter["elsewhere"][number]),
-                other_speeds=(  # older tables have none
-                    float(scatter["other_speeds"][number])
-                    if "other_speeds" in scatter.columns
-                    else 1.0
-                ),
+                other_speeds=float(scatter["other_speeds"][number]),
             )
         )
     model = LoadModel(
@@ -259,15 +255,8 @@ def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
             loop["mean"], loop["shape"], float(loop["offset"][0]), int(loop["recordings"][0])
         ),
         slack=float(scales["slack"][0]),
-        paces=_paces_from(tables),
+        paces=Paces(*(paces[name] for name in ("speed", "lowest", "highest"))),
         noise=LearnedNoise(noise["lowest"], noise["highest"], float(noise["rounding"][0])),
     )
     return model, scales.columns["effort"].unit
 
-
-def _paces_from(tables: Mapping[str, Table]) -> Paces:
-    """Return the speeds of the strokes; older tables do not state all of them."""
-    table = tables.get(MODEL_TABLE + "_paces")
-    if table is None or "lowest" not in table.columns:
-        return Paces(*np.empty((3, 0)))
-    return Paces(*(table[name] for name in ("speed", "lowest", "highest")))
