@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from statistics import NormalDist
+
 import numpy as np
 
 from rigtool.numerics.arrays import Array, Mask
@@ -60,11 +62,12 @@ def draw_probability_plot(run: Run, table: Table) -> style.Figure:
     axes.plot(value, quantile, "+", color=style.BLUE, label="readings")
     # The customary line of probability plots, through the quartiles.
     lower, upper = np.interp([0.25, 0.75], np.linspace(0, 1, value.size), value)
-    quartile = 0.6744897501960817
+    quartile = NormalDist().inv_cdf(0.75)
     ends = np.array([quantile[0], quantile[-1]])
     line = (lower + upper) / 2 + ends * (upper - lower) / (2 * quartile)
     axes.plot(line, ends, color=style.ORANGE, linestyle="--", label="normal distribution")
-    axes.set_yticks(_normal_quantiles(PROBABILITY_TICKS), [f"{p:g}" for p in PROBABILITY_TICKS])
+    places = [NormalDist().inv_cdf(p) for p in PROBABILITY_TICKS]
+    axes.set_yticks(places, [f"{p:g}" for p in PROBABILITY_TICKS])
     style.legend_above(axes)
     return figure
 
@@ -144,9 +147,3 @@ def _straight(run: Run, axes: style.Axes, position: Array) -> Mask:
         axes.axvspan(low, high, color=style.BAND, linewidth=0, zorder=0)
     within = np.where(position > end, 2 * end - position, position)
     return (within >= turn) & (within <= end - turn)
-
-
-def _normal_quantiles(probabilities: tuple[float, ...]) -> list[float]:
-    from statistics import NormalDist
-
-    return [NormalDist().inv_cdf(p) for p in probabilities]

@@ -9,11 +9,9 @@ import numpy as np
 from rigtool.report.figures import style
 from rigtool.report.figures.axes import MILLI
 from rigtool.report.figures.plots import HEADLINE, plot
+from rigtool.report.requirements import COVERAGE_FACTOR
 from rigtool.report.tables import UNCORRECTED_TABLE, correction_of
 from rigtool.runfile import Run, Table
-
-COVERAGE_FACTOR = 2.0
-"""Of the error bars."""
 
 
 @plot(HEADLINE, "measure-force", "Measured against applied torque", "loads")
