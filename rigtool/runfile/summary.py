@@ -104,7 +104,7 @@ def _aligned(rows: Iterable[tuple[str, ...]]) -> list[str]:
 def budget_shares(quantity: Quantity) -> list[tuple[Component, float]]:
     """Return the lines of a budget with their shares of the variance, the largest first."""
     total = sum(line.contribution**2 for line in quantity.budget)
-    shares = [(line, line.contribution**2 / total) for line in quantity.budget]
+    shares = [(line, line.contribution**2 / (total or 1.0)) for line in quantity.budget]
     return sorted(shares, key=lambda item: -item[1])
 
 

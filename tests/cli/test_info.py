@@ -7,7 +7,7 @@ from click.testing import CliRunner
 
 from rigtool.cli.info import command
 from rigtool.errors import UsageError
-from rigtool.quantity import Component, Quantity
+from rigtool.quantity import Component, Quantity, scattered
 from rigtool.runfile import open_run
 from rigtool.runfile.summary import budget_lines, folded, result_lines
 from tests.runfile.whole_run import SIZE, write
@@ -152,6 +152,12 @@ def test_a_wide_budget_fits_a_terminal_and_keeps_its_numbers():
     names = " ".join(line[: titles.index("value") - 6] for line in lines[1:-1]).split()
     assert "-5.3171e-05" in lines[1]
     assert [word for word in names if word.isalpha()] == slope.name.split()
+
+
+def test_the_budget_of_what_does_not_scatter_has_no_shares():
+    *_, line, together = budget_lines("mean", scattered(1.0, "N m", 0.0))
+    assert line.endswith("0.0 %")
+    assert together.split()[0] == "together"
 
 
 def test_plot(path, tmp_path):
