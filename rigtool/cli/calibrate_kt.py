@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rigtool.cli.options import common_options, measuring, run_and_print
+from rigtool.cli.options import measuring, run_and_print
 from rigtool.experiments.running.options import CommonOptions
 
 
@@ -10,7 +10,6 @@ from rigtool.experiments.running.options import CommonOptions
     "rigtool calibrate-kt rig.toml -o kt.h5",
     "rigtool calibrate-kt imported/*.h5 -o kt.h5",
 )
-@common_options
 def command(sources: tuple[str, ...], output: str, options: CommonOptions) -> None:
     """Find the torque constant against temperature.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rigtool.cli.options import common_options, measuring, run_and_print, run_option
+from rigtool.cli.options import measuring, run_and_print, run_option
 from rigtool.experiments.running.options import CommonOptions
 
 
@@ -11,7 +11,6 @@ from rigtool.experiments.running.options import CommonOptions
     "rigtool fft-ripple imported/comp_0.h5 imported/nocomp_0.h5 -o ripple.h5",
 )
 @run_option("--kt", "Run of calibrate-kt: current to torque; not needed for imported runs.")
-@common_options
 def command(sources: tuple[str, ...], output: str, kt: str | None, options: CommonOptions) -> None:
     """Measure torque ripple by order, speed and torque.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rigtool.cli.options import common_options, measuring, run_and_print, run_option
+from rigtool.cli.options import measuring, run_and_print, run_option
 from rigtool.experiments.running.options import CommonOptions
 
 
@@ -11,7 +11,6 @@ from rigtool.experiments.running.options import CommonOptions
     "rigtool identify-plant rig.toml --kt kt.h5 --set rig.attachment=pulley -o plant-pulley.h5",
 )
 @run_option("--kt", "Run of calibrate-kt; without it the data sheet's torque constant is used.")
-@common_options
 def command(sources: tuple[str, ...], output: str, kt: str | None, options: CommonOptions) -> None:
     """Measure the frequency response; fit inertia and friction.
 

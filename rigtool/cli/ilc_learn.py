@@ -5,7 +5,6 @@ from __future__ import annotations
 import click
 
 from rigtool.cli.options import (
-    common_options,
     current_output,
     measuring,
     open_inputs,
@@ -47,7 +46,6 @@ from rigtool.inputs import is_recipe
 @run_option(
     "--check", "Run of ilc-learn: check whether its tables still fit, and find what changed."
 )
-@common_options
 def command(
     sources: tuple[str, ...],
     output: str,

@@ -9,7 +9,6 @@ import click
 from rigtool.cli.options import (
     Integer,
     Number,
-    common_options,
     current_output,
     measuring,
     run_and_print,
@@ -55,7 +54,6 @@ from rigtool.inputs import is_recipe
     metavar="N",
     help="With --stream or --live, show one of N estimates.  [default: 1]",
 )
-@common_options
 def command(
     sources: tuple[str, ...],
     output: str,

@@ -4,7 +4,6 @@ A measuring command reads:
 
     @measuring("rigtool stribeck rig.toml --kt kt.h5 -o f.h5")
     @run_option("--kt", "run file of calibrate-kt")
-    @common_options
     def command(sources, output, kt, options): ...
 
 Each `Command` has the options of `OUTPUT_OPTIONS`; their values are in the `Output` that
@@ -281,9 +280,9 @@ def command_with(*examples: str) -> Callable[[CommandFunction], click.Command]:
 
 
 def measuring(*examples: str) -> Callable[[CommandFunction], click.Command]:
-    """Make a command of a function with `common_options`, and add `source_arguments`."""
+    """Make a command of a function; adds `source_arguments` and `common_options`."""
     make = command_with(*examples)
-    return lambda function: make(source_arguments(function))
+    return lambda function: make(source_arguments(common_options(function)))
 
 
 def _state_defaults(given: dict[str, Any]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import common_options, measuring, run_and_print, run_option
+from rigtool.cli.options import measuring, run_and_print, run_option
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.inputs import is_recipe
 
@@ -23,7 +23,6 @@ from rigtool.inputs import is_recipe
 @run_option(
     "--reference", "Run with a known change against the same run: the ratio of the two changes."
 )
-@common_options
 def command(
     sources: tuple[str, ...],
     output: str,

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from rigtool.cli.options import common_options, measuring, run_and_print
+from rigtool.cli.options import measuring, run_and_print
 from rigtool.experiments.running.options import CommonOptions
 
 
 @measuring("rigtool suspension rig.toml -o suspension.h5")
-@common_options
 def command(sources: tuple[str, ...], output: str, options: CommonOptions) -> None:
     """Measure leaf springs; compute what eccentric pulleys do.
 
