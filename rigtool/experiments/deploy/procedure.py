@@ -60,7 +60,7 @@ def deploy(
     `HardwareError` for a drive that keeps no table, or where storing fails: then the old table
     is restored.
     """
-    make_table_store, usual_baud_rate = _store_of(recipe)
+    make_store, usual_baud_rate = _store_of(recipe)
     turn, remarks = _map(tables, recipe, speed, kt)
     remarks.append(_ripple_remark(tables, turn.speed))
     remarks = [*remarks, *_origin_remarks(tables, recipe)]
@@ -69,7 +69,7 @@ def deploy(
     with Line(
         settings.port, baud_rate, timeout=FLASH_TIMEOUT, spy=operator.spy, driver=settings.driver
     ) as line:
-        store = make_table_store(line, recipe)
+        store = make_store(line, recipe)
         identity = store.connect()
         _require_same_drive(tables, identity)
         zero = store.zero()
@@ -108,12 +108,13 @@ def _store_of(recipe: Recipe) -> tuple[Callable[[Line, Recipe], TableStore], int
     if name == REPLAY_DRIVER:
         raise UsageError("serial.driver is replay: a record has no memory to store a table in")
     found = driver(name)
-    if found.make_table_store is None:
+    make_drive, table_store = found.make_drive, found.table_store
+    if make_drive is None or table_store is None:
         raise HardwareError(
             f"{name} keeps no table that can be stored over its line: rigtool adds a learned table "
             "as feed-forward while it runs; to use it elsewhere, export it"
         )
-    return found.make_table_store, found.baud_rates[0]
+    return lambda line, recipe: table_store(make_drive(line, recipe)), found.baud_rates[0]
 
 
 def _map(

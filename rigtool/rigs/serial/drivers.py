@@ -11,7 +11,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rigtool.errors import RecipeError, did_you_mean
 from rigtool.plugins import load_entry_point, plugins
@@ -57,7 +57,7 @@ class Driver:
     asks. `baud_rates` in bit/s has the usual one first, then others that devices may be set to.
     `make_drive(line, recipe)` returns a drive that takes set points from the host, not connected
     yet; `make_rig(recipe, torque_constant, use, operator)` the rig of a device that runs whole
-    motions by itself. `make_table_store(line, recipe)` is there where the drive keeps a table. A
+    motions by itself. `table_store(drive)` is there where the drive keeps a table. A
     drive without watchdog goes on where computer or cable fail; `switch_off(line, node)` is called
     by the process beside rigtool where rigtool alone fails. A drive with `can` is on a CAN bus. A
     drive that takes currents only needs the host to close the loop, as `host_closes` states.
@@ -67,7 +67,7 @@ class Driver:
     baud_rates: tuple[int, ...]
     make_drive: Callable[[Line, Recipe], Drive] | None = None
     make_rig: Callable[[Recipe, float, str, Operator], SerialRig] | None = None
-    make_table_store: Callable[[Line, Recipe], TableStore] | None = None
+    table_store: Callable[[Any], TableStore] | None = None
     has_watchdog: bool = True
     can: bool = False
     host_closes: bool = False

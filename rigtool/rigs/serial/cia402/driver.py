@@ -29,7 +29,7 @@ def probe(line: Line, kind: type[CanDrive] = CanDrive) -> str | None:
     return identity(objects, f"{kind.family}, node {USUAL_NODE}")
 
 
-def make_can_drive(kind: type[CanDrive], line: Line, recipe: Recipe) -> Drive:
+def make_drive(line: Line, recipe: Recipe, kind: type[CanDrive] = CanDrive) -> Drive:
     """Return the drive of this kind that a recipe's [serial] names, not connected yet."""
     settings = recipe.line
     return kind(
@@ -38,11 +38,6 @@ def make_can_drive(kind: type[CanDrive], line: Line, recipe: Recipe) -> Drive:
         emergency_stop=settings.emergency_stop,
         speed_unit_rpm=settings.speed_unit_rpm,
     )
-
-
-def make_drive(line: Line, recipe: Recipe) -> Drive:
-    """Return the drive that a recipe's [serial] names, not connected yet."""
-    return make_can_drive(CanDrive, line, recipe)
 
 
 DRIVER = Driver(probe, BIT_RATES, make_drive, can=True)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from rigtool.recipe import Recipe
+from functools import partial
+
 from rigtool.rigs.serial.cia402.drive import CanDrive
-from rigtool.rigs.serial.cia402.driver import BIT_RATES, make_can_drive
-from rigtool.rigs.serial.cia402.driver import probe as asked
+from rigtool.rigs.serial.cia402.driver import BIT_RATES, make_drive, probe
 from rigtool.rigs.serial.cia402.objects import find
-from rigtool.rigs.serial.drive import Drive
 from rigtool.rigs.serial.drivers import Driver
-from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.maxon import objects as epos
 from rigtool.rigs.serial.maxon.epos import Epos4Facts
 
@@ -26,14 +24,9 @@ class Epos4CanDrive(Epos4Facts, CanDrive):
         return self._read_torque_and_speed()
 
 
-def probe(line: Line) -> str | None:
-    """Return the identity of the EPOS4 at node 1, None for another device."""
-    return asked(line, Epos4CanDrive)
-
-
-def make_drive(line: Line, recipe: Recipe) -> Drive:
-    """Return the drive that a recipe's [serial] names, not connected yet."""
-    return make_can_drive(Epos4CanDrive, line, recipe)
-
-
-DRIVER = Driver(probe, BIT_RATES, make_drive, can=True)
+DRIVER = Driver(
+    partial(probe, kind=Epos4CanDrive),
+    BIT_RATES,
+    partial(make_drive, kind=Epos4CanDrive),
+    can=True,
+)

@@ -14,7 +14,6 @@ from rigtool.rigs.serial.moteus.drive import Moteus
 from rigtool.rigs.serial.moteus.driver import USUAL_NODE, first_answer
 from rigtool.rigs.serial.moteus.link import Link
 from rigtool.rigs.serial.moteus.table import MoteusTable
-from rigtool.rigs.serial.table_store import TableStore
 from rigtool.rigs.serial.transport.can_frames import CanFrame, encode
 
 T = TypeVar("T")
@@ -71,13 +70,8 @@ def make_drive(line: Line, recipe: Recipe) -> Moteus:
     return Moteus(CanLink(line, recipe.line.node or USUAL_NODE))
 
 
-def make_table_store(line: Line, recipe: Recipe) -> TableStore:
-    """Return the table in the drive that a recipe's [serial] names, not connected yet."""
-    return MoteusTable(make_drive(line, recipe))
-
-
 def _takes_fd(line: Line) -> bool:
     return line.replays or "fd=true" in line.port.lower()
 
 
-DRIVER = Driver(probe, (1_000_000,), make_drive, make_table_store=make_table_store, can=True)
+DRIVER = Driver(probe, (1_000_000,), make_drive, table_store=MoteusTable, can=True)

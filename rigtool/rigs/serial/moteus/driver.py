@@ -1,4 +1,4 @@
-"""The moteus driver: probes a line, makes the drive and its table store."""
+"""The moteus driver: probes a line, makes the drive."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.moteus.drive import Moteus, read_identity
 from rigtool.rigs.serial.moteus.link import Link
 from rigtool.rigs.serial.moteus.table import MoteusTable
-from rigtool.rigs.serial.table_store import TableStore
 
 USUAL_NODE = 1
 """Address that a drive leaves the factory with; 0, the default of the recipe, means this one."""
@@ -40,9 +39,4 @@ def make_drive(line: Line, recipe: Recipe) -> Moteus:
     return Moteus(Link(line, recipe.line.node or USUAL_NODE))
 
 
-def make_table_store(line: Line, recipe: Recipe) -> TableStore:
-    """Return the table in the drive that a recipe's [serial] names, not connected yet."""
-    return MoteusTable(make_drive(line, recipe))
-
-
-DRIVER = Driver(probe, (921600,), make_drive, make_table_store=make_table_store)
+DRIVER = Driver(probe, (921600,), make_drive, table_store=MoteusTable)

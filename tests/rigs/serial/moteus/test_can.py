@@ -90,6 +90,6 @@ def test_table_is_read_over_the_bus():
     device = MoteusCanEmulator(motor__cogging_dq_scale=0.5)
     recipe = serial_recipe("can:slcan:x?fd=true", driver="moteus-can")
     with serve(device) as server, Line(f"can:slcan:{server.port}?fd=true", 1_000_000) as line:
-        store = can.make_table_store(line, recipe)
+        store = can.DRIVER.table_store(can.make_drive(line, recipe))
         assert store.connect().startswith("moteus 1")
         assert store.link.number("motor.cogging_dq_scale") == 0.5
