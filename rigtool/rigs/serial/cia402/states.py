@@ -11,7 +11,7 @@ from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe.serial import Limits
 from rigtool.rigs.serial.cia402 import objects as od
 from rigtool.rigs.serial.cia402.objects import Entry, Objects, find
-from rigtool.rigs.serial.drive import Mode
+from rigtool.rigs.serial.drive import Mode, persist
 from rigtool.rigs.serial.line import Line, LineLost
 
 Place = TypeVar("Place")
@@ -19,7 +19,6 @@ Place = TypeVar("Place")
 RPM = 2 * math.pi / 60
 """rad/s in one turn a minute."""
 
-HALT_ATTEMPTS = 3
 RESTORE_ATTEMPTS = 3
 
 STATE_READINGS = 50
@@ -61,17 +60,17 @@ class RestoredDrive(ABC, Generic[Place]):
 
     def halt(self) -> None:
         """Switch the power stage off, in any state; `HardwareError` where it is not known to be."""
-        problem: HardwareError | None = None
-        for attempt in range(HALT_ATTEMPTS):
-            try:
-                if attempt:
-                    self.line.settle()  # late answers belong to older questions
-                if self._switch_off():
-                    return
-                problem = HardwareError("it reports that it is still on")
-            except HardwareError as error:
-                problem = error
-        raise HardwareError(f"{self.line.port}: the drive was not switched off ({problem})")
+        try:
+            # Late answers belong to older questions.
+            persist(self._require_off, before_again=self.line.settle)
+        except HardwareError as problem:
+            raise HardwareError(
+                f"{self.line.port}: the drive was not switched off ({problem})"
+            ) from None
+
+    def _require_off(self) -> None:
+        if not self._switch_off():
+            raise HardwareError("it reports that it is still on")
 
     def restore(self) -> None:
         """Restore the changed settings, the last first; try refused ones again.
