@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from functools import partial
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.experiments.outcome import Outcome
@@ -29,31 +30,41 @@ def analyse_stored(
     require_nothing_to_measure(options)
     with ExitStack() as stack:
         runs = [stack.enter_context(open_run(source)) for source in sources]
+        recipe: Recipe | None = None  # imported runs take its place
+        analyse: Callable[..., Outcome]
         if runs[0].command == IMPORT and procedure.analyse_imported is not None:
-            return _analyse_imported(
-                procedure, procedure.analyse_imported, runs, output, options, inputs
-            )
-        for run in runs:
-            run.require_command(procedure.command, *procedure.accepts)
-            run.forget_tables()
-        require_inputs(procedure, inputs)
-        recipe = runs[0].recipe
-        if recipe is None:
-            raise RunFileError(
-                f"{sources[0]}: holds no recipe, so the rig's geometry is unknown: "
-                "analyse a run that rigtool recorded"
-            )
-        recipe = _as_recorded(procedure, recipe, options.overrides)
+            for run in runs:
+                run.require_command(IMPORT)
+            settings = _imported_settings(procedure.imported_settings, options.overrides)
+            analyse = partial(procedure.analyse_imported, runs, **settings)
+        else:
+            recipe = _recipe_of(procedure, runs, options.overrides)
+            require_inputs(procedure, inputs)
+            analyse = partial(procedure.analyse, runs, recipe)
         with RunWriter(
             output,
             command=procedure.command,
             recipe=recipe,
             inputs=[*runs, *inputs.values()],
             overwrite=options.overwrite,
+            rig=runs[0].rig,
         ) as writer:
-            outcome = procedure.analyse(runs, recipe, **inputs)
+            outcome = analyse(**inputs)
             writer.finish(outcome.results, outcome.tables, outcome.notes)
     return outcome
+
+
+def _recipe_of(procedure: Procedure, runs: Sequence[Run], overrides: Sequence[str]) -> Recipe:
+    """Return the recipe of runs that this procedure analyses, with other settings of that."""
+    for run in runs:
+        run.require_command(procedure.command, *procedure.accepts)
+        run.forget_tables()
+    if (recipe := runs[0].recipe) is None:
+        raise RunFileError(
+            f"{runs[0].path}: holds no recipe, so the rig's geometry is unknown: "
+            "analyse a run that rigtool recorded"
+        )
+    return _as_recorded(procedure, recipe, overrides)
 
 
 def _as_recorded(procedure: Procedure, recipe: Recipe, overrides: Sequence[str]) -> Recipe:
@@ -72,30 +83,6 @@ def _as_recorded(procedure: Procedure, recipe: Recipe, overrides: Sequence[str])
             f"{known or 'none'}"
         )
     return override_recipe(recipe, overrides)
-
-
-def _analyse_imported(
-    procedure: Procedure,
-    analyse: Callable[..., Outcome],
-    runs: Sequence[Run],
-    output: str,
-    options: CommonOptions,
-    inputs: Mapping[str, Run],
-) -> Outcome:
-    """Analyse measurements of other rigs: their runs replace the recipe."""
-    for run in runs:
-        run.require_command(IMPORT)
-    settings = _imported_settings(procedure.imported_settings, options.overrides)
-    with RunWriter(
-        output,
-        command=procedure.command,
-        inputs=[*runs, *inputs.values()],
-        overwrite=options.overwrite,
-        rig=runs[0].rig,
-    ) as writer:
-        outcome = analyse(runs, **inputs, **settings)
-        writer.finish(outcome.results, outcome.tables, outcome.notes)
-    return outcome
 
 
 def _imported_settings(accepted: Mapping[str, str], overrides: Sequence[str]) -> dict[str, float]:
