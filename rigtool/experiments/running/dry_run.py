@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -54,19 +55,13 @@ class MotionPlan:
     complete: bool = True
 
     def __str__(self) -> str:
-        together: dict[str, int] = {}
-        for name, found in self.motions:
-            line = f"{name}: {found}"
-            together[line] = together.get(line, 0) + 1
+        together = Counter(f"{name}: {found}" for name, found in self.motions)
         lines = [
             f"  {line}" if count == 1 else f"  {count} times {line}"
             for line, count in together.items()
         ]
         if (rest := len(lines) - LISTED_MOTIONS) > 0:
-            lines = [
-                *lines[:LISTED_MOTIONS],
-                f"  and {rest} kinds of motion more",
-            ]
+            lines[LISTED_MOTIONS:] = [f"  and {rest} kinds of motion more"]
         count, total = len(self.motions), self.duration
         head = f"{count} motion{'s' if count != 1 else ''} to record, {total:.0f} s in all"
         parts = [head, *lines]
@@ -118,8 +113,7 @@ class _Rehearsal(Rig):
         elif self.plan.duration > LONGEST_VIRTUAL_TIME:
             raise RecipeError(
                 f"the motions would last longer than {LONGEST_VIRTUAL_TIME / 3600:.0f} h on the "
-                "clock of the "
-                "virtual rig: shorten them in the recipe"
+                "clock of the virtual rig: shorten them in the recipe"
             )
         self._require_carried(task.load)
         if not isinstance(task.motion, OpenLoop):
@@ -132,9 +126,8 @@ class _Rehearsal(Rig):
             name = re.sub(r"\B(?=[A-Z])", " ", type(task.motion).__name__).lower()
             self.plan.motions.append((name, found))
         for need in _needs(task):
-            self._need(need, None)
-        if "load" in _needs(task):
-            self.plan.bench_work.append(describe_load(task.load, self._rig.attachment))
+            work = [describe_load(task.load, self._rig.attachment)] if need == "load" else []
+            self._need(need, *work)
         return iter(())
 
     def _require_carried(self, load: Load) -> None:
@@ -166,7 +159,7 @@ class _Rehearsal(Rig):
 
     def move_by(self, angle: float) -> None:
         """Follow a move between recordings."""
-        self._need("closed_loop", None)
+        self._need("closed_loop")
         if math.isfinite(self._position):
             self._position += angle
 
@@ -176,17 +169,16 @@ class _Rehearsal(Rig):
 
     def soak(self, temperature_degc: float) -> None:
         """List a temperature."""
-        self._need("soak", None)
+        self._need("soak")
         self.plan.temperatures.append(temperature_degc)
 
     def power_cycle(self) -> None:
         """List a power cycle of the amplifier."""
         self._need("power_cycle", "switch the amplifier off and on")
 
-    def _need(self, need: str, work: str | None) -> None:
+    def _need(self, need: str, *work: str) -> None:
         self.plan.needs[need] = None
-        if work:
-            self.plan.bench_work.append(work)
+        self.plan.bench_work += work
 
 
 def _weight(load: Load) -> str:
