@@ -57,12 +57,7 @@ def on_one_axis(path: Path, raw: Raw, mapping: Mapping) -> tuple[Raw, list[str]]
     if clock is not None:
         filled[clock] = axis.time
     # The lines of other columns are no gaps in this one.
-    found = replace(
-        raw,
-        columns={column: values[inside] for column, values in filled.items()},
-        place=raw.place[axis.line][inside],
-        line=raw.line[axis.line][inside],
-    )
+    found = replace(raw.only(axis.line), columns=filled).only(inside)
     counts = ", ".join(f"{name} {len(course.line)}" for name, course in courses.items())
     note = (
         f"columns are filled on different lines ({counts}): on those of {leader}, the others on "

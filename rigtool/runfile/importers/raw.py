@@ -8,6 +8,7 @@ import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,16 +76,19 @@ class Raw:
     left_out: dict[int, str] = field(default_factory=dict)
     starts: tuple[int, ...] = ()
 
-    def without(self, bad: dict[int, str]) -> Raw:
-        """Return the same without the lines in `bad`."""
-        keep = ~np.isin(self.line, list(bad))
+    def only(self, rows: NDArray[Any]) -> Raw:
+        """Return the samples that these indices, or this mask, select."""
         return replace(
             self,
-            columns={name: values[keep] for name, values in self.columns.items()},
-            place=self.place[keep],
-            line=self.line[keep],
-            left_out={**self.left_out, **bad},
+            columns={name: values[rows] for name, values in self.columns.items()},
+            place=self.place[rows],
+            line=self.line[rows],
         )
+
+    def without(self, bad: dict[int, str]) -> Raw:
+        """Return the same without the lines in `bad`."""
+        kept = self.only(~np.isin(self.line, list(bad)))
+        return replace(kept, left_out={**self.left_out, **bad})
 
     @property
     def edges(self) -> list[int]:
@@ -135,11 +139,9 @@ def read_bytes(path: Path) -> bytes:
         stream.seek(0)
         if not packed:
             require_size(path, os.fstat(stream.fileno()).st_size)
-            data = stream.read()
-            _require_text(path, data)
-            return data
+        source = gzip.GzipFile(fileobj=stream) if packed else stream
         try:
-            data = gzip.GzipFile(fileobj=stream).read(unpacked_limit(path) + 1)
+            data = source.read(unpacked_limit(path) + 1)
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
             raise RunFileError(f"{path}: is a damaged gzip file: {error}; fetch it again") from None
     require_size(path, len(data))

@@ -55,13 +55,7 @@ def read_stacked(
     which, value = raw.columns[names[key]], raw.columns[values[0]]
     columns: dict[ColumnKey, Array] = {column: raw.columns[column] for column in common}
     columns |= {name: np.where(which == places[name], value, np.nan) for name in signals}
-    kept = which >= 0
-    return replace(
-        raw,
-        columns={name: found[kept] for name, found in columns.items()},
-        place=raw.place[kept],
-        line=raw.line[kept],
-    )
+    return replace(raw, columns=columns).only(which >= 0)
 
 
 def _places(places: Mapping[str, float], texts: Sequence[str]) -> Array:
