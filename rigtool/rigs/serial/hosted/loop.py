@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,17 +28,14 @@ BLOCK_TIME = 0.25
 MAX_CORRECTION = 0.3
 """Part of an error of position that is corrected in a period at most."""
 
+ADDED = ("feedforward_current", "table_current", "signal_current")
+"""Currents that the host adds to a set point."""
+
 COLUMNS = (
-    "time",
-    "position_setpoint",
-    "encoder",
-    "current_setpoint",
-    "current",
-    "feedforward_current",
-    "table_current",
-    "signal_current",
-    "temperature",
+    *("time", "position_setpoint", "encoder", "current_setpoint", "current"),
+    *(*ADDED, "temperature"),
 )
+"""Channels of a block."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +70,7 @@ class MotionTicks:
             settings.watchdog,
             skips=task.feedforward.signal is None,
         )
-        self._rows: list[tuple[float, ...]] = []
+        self._rows: list[dict[str, float]] = []
         self._gain = min(settings.position_gain, MAX_CORRECTION / self._recipe.rig.sample_time)
         self._controller: RunningController | None = None
         if followed.mode == "current" and not self._open_loop:
@@ -118,12 +115,12 @@ class MotionTicks:
             skipped = min(skipped, last_tick - tick)  # the last set point is always sent
             self.skipped += skipped
             tick += skipped
-            setpoint, parts = self._setpoint(now - start, last)
+            setpoint, added = self._setpoint(now - start, last)
             sample = self._drive.step(setpoint)
             self._clock.exchanged(now)
             if probe is not None:
                 self._compare(last, probe, sample)
-            self._note(sample, parts, lateness > dt, sample.time - max(last.time, start))
+            self._note(sample, added, lateness > dt, sample.time - max(last.time, start))
             last, probe = sample, None
             if len(self._rows) == block:
                 self._hand_on()
@@ -161,10 +158,8 @@ class MotionTicks:
         position, speed, acceleration = motion.setpoint(np.array(time))
         return position + self._origin, speed, acceleration
 
-    def _setpoint(
-        self, elapsed: float, last: Sample
-    ) -> tuple[SetPoint, tuple[float, float, float]]:
-        """Return the set point to send, and (feed-forward, table, signal current) to record."""
+    def _setpoint(self, elapsed: float, last: Sample) -> tuple[SetPoint, Sequence[float]]:
+        """Return the set point to send, and the currents in it, one for each of `ADDED`."""
         motion, feedforward = self._task.motion, self._task.feedforward
         if isinstance(motion, OpenLoop):
             time = np.array([min(elapsed, motion.duration)])
@@ -202,40 +197,22 @@ class MotionTicks:
             return sample.position
         return float(self._motion_at(sample.time)[0][0])
 
-    def _note(
-        self, sample: Sample, parts: tuple[float, float, float], late: bool, gap: float
-    ) -> None:
+    def _note(self, sample: Sample, added: Sequence[float], late: bool, gap: float) -> None:
         counts = self._recipe.rig.encoder_counts / (2 * math.pi)
-        encoder = sample.position * counts
-        model, table, signal = parts
-        wanted = self._wanted(sample)
-        self._rows.append(
-            (
-                sample.time,
-                wanted,
-                encoder,
-                sample.current_setpoint,
-                sample.current,
-                model,
-                table,
-                signal,
-                sample.temperature,
-            )
-        )
+        row = {
+            "time": sample.time,
+            "position_setpoint": self._wanted(sample),
+            "encoder": sample.position * counts,
+            "current_setpoint": sample.current_setpoint,
+            "current": sample.current,
+            "temperature": sample.temperature,
+        }
+        self._rows.append(row | dict(zip(ADDED, added, strict=True)))
         self.ticks += 1
         self.late += late
         self.longest_gap = max(self.longest_gap, gap)
         self.elapsed = sample.time - self._start
-        problem = self._watch.problem(
-            {
-                "time": np.array([sample.time]),
-                "encoder": np.array([encoder]),
-                "position_setpoint": np.array([wanted]),
-                "current": np.array([sample.current]),
-                "temperature": np.array([sample.temperature]),
-            }
-        )
-        if problem:
+        if problem := self._watch.problem({name: np.array([v]) for name, v in row.items()}):
             raise HardwareError(problem)
 
     def _hand_on(self) -> None:
@@ -243,7 +220,6 @@ class MotionTicks:
         every = self._task.record_every
         rows = len(self._rows) // every
         if rows:
-            table = np.array(self._rows[: rows * every]).reshape(rows, every, len(COLUMNS))
-            means = table.mean(axis=1)
-            self._put({name: means[:, n].copy() for n, name in enumerate(COLUMNS)})
+            samples = {name: [row[name] for row in self._rows[: rows * every]] for name in COLUMNS}
+            self._put({n: np.reshape(v, (rows, every)).mean(axis=1) for n, v in samples.items()})
         self._rows.clear()
