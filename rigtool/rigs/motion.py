@@ -43,7 +43,7 @@ def follow(piece: Any, since: Any, sine: Any, cosine: Any) -> tuple[Any, Any, An
     )
 
 
-def _pieces(begin: Array, *coefficients: Any) -> Array:
+def pieces_of(begin: Array, *coefficients: Any) -> Array:
     """Return pieces from where they begin (k,) and their coefficients, each (k,) or a number."""
     pieces = np.zeros((len(begin), 9))
     pieces[:, BEGIN] = begin
@@ -130,7 +130,7 @@ class SpeedProfile(Path):
         travelled = np.concatenate([[0.0], np.cumsum(steps * (after + before) / 2)[:-1]])
         lasts = steps > 0  # from a speed to the same one takes no time
         rate = (after - before)[lasts] / steps[lasts]
-        return _pieces(times[:-1][lasts], travelled[lasts], before[lasts], rate / 2)
+        return pieces_of(times[:-1][lasts], travelled[lasts], before[lasts], rate / 2)
 
 
 @dataclass(frozen=True)
@@ -209,7 +209,7 @@ class Move(Path):
         cube = self.angle * per_s * per_s * per_s
         moving = (0.0, 0.0, 0.0, 10 * cube, -15 * cube * per_s, 6 * cube * per_s * per_s)
         ends = ([here, end] for here, end in zip(moving, (self.angle, 0, 0, 0, 0, 0), strict=True))
-        return _pieces(np.array([0.0, self.duration]), *ends)
+        return pieces_of(np.array([0.0, self.duration]), *ends)
 
 
 @dataclass(frozen=True)
@@ -229,7 +229,7 @@ class CurrentSteps(Path):
         """Constant currents, A."""
         # A level begins exactly at its sample, whatever the rounding of its time.
         begin = (np.arange(len(self.levels), dtype=np.float64) - 1e-9) * self.step_time
-        return _pieces(begin, np.asarray(self.levels))
+        return pieces_of(begin, np.asarray(self.levels))
 
     def current(self, time: Array) -> Array:
         """Return the current set point at these times, A."""
@@ -251,7 +251,7 @@ class CurrentRamp(Path):
     @cached_property
     def pieces(self) -> Array:
         """One straight line, A."""
-        return _pieces(np.zeros(1), 0.0, self.rate)
+        return pieces_of(np.zeros(1), 0.0, self.rate)
 
     def current(self, time: Array) -> Array:
         """Return the current set point at these times, A."""

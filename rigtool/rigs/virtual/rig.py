@@ -16,7 +16,7 @@ from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.recipe.virtual import Hand, Virtual
 from rigtool.rigs.base import Block, Feedforward, Load, Rig, Task
-from rigtool.rigs.motion import CurrentSteps, Motion, Move, Observe, OpenLoop, Path
+from rigtool.rigs.motion import CurrentSteps, Motion, Move, Observe, OpenLoop, Path, pieces_of
 from rigtool.rigs.virtual import contacts, hand, kernel, layout
 from rigtool.rigs.virtual.contacts import Grip, Outside
 from rigtool.rigs.virtual.maps import friction_map, rotor_map
@@ -309,12 +309,5 @@ class VirtualRig(Rig):
 
 def _by_samples(motion: Motion, time: Array) -> Array:
     """Return a piece for each of these times (n,), with the motion's set point at it."""
-    pieces = np.zeros((len(time), 9))
     position, speed, acceleration = motion.setpoint(time)
-    pieces[:, 0], pieces[:, 1], pieces[:, 2], pieces[:, 3] = (
-        time,
-        position,
-        speed,
-        acceleration / 2,
-    )
-    return pieces
+    return pieces_of(time, position, speed, acceleration / 2)
