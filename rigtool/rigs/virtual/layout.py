@@ -7,30 +7,14 @@ import numpy as np
 SLOW_STEP_SAMPLES = 16
 """Samples between updates of slow states: temperatures, friction noise, drift."""
 
+_NUMBERS = (
+    *("angle", "speed", "bristle", "current", "ripple", "friction_noise"),
+    *("winding_degc", "housing_degc", "grasper_angle", "grasper_speed"),
+    *("housing_bristle", "tip_bristle", "drift", "direction"),
+    *("stroke_sine", "stroke_cosine", "stroke_load", "contact"),
+)
 STATE = np.dtype(
-    [
-        (name, "f8")
-        for name in (
-            "angle",
-            "speed",
-            "bristle",
-            "current",
-            "ripple",
-            "friction_noise",
-            "winding_degc",
-            "housing_degc",
-            "grasper_angle",
-            "grasper_speed",
-            "housing_bristle",
-            "tip_bristle",
-            "drift",
-            "direction",
-            "stroke_sine",
-            "stroke_cosine",
-            "stroke_load",
-            "contact",
-        )
-    ]
+    [(name, "f8") for name in _NUMBERS]
     # random numbers of each direction's last stroke: (negative, positive) x (sine, cosine, load)
     + [("drawn", "f8", (2, 3))]
     # set point of the last sample

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.quantity import STANDARD_GRAVITY
+from rigtool.recipe.base import Section
 from rigtool.recipe.rig import RigDescription
 from rigtool.recipe.virtual import Hand, Virtual
 from rigtool.rigs.base import Load
@@ -45,7 +46,7 @@ def parameters(
 
     `rig` is as it is, `clamp_angle` where the rotor is clamped, `hand` what holds the output.
     """
-    motor, amplifier, thermal = v.motor, v.amplifier, v.thermal
+    motor, amplifier, thermal, own = v.motor, v.amplifier, v.thermal, v.instrument
     dt, tick = rig.sample_time, rig.sample_time * layout.SLOW_STEP_SAMPLES
     instrument = rig.attachment == "instrument"
     force = load.force * (1 + v.misstated.weights)
@@ -53,17 +54,17 @@ def parameters(
     hanging = 0.0 if instrument else force * rig.pulley_radius
     inertia = motor.inertia + (v.arm.inertia if load.clamped else 0.0)
     if instrument:
-        inertia += v.instrument.wheel_inertia
+        inertia += own.wheel_inertia
     else:
         inertia += mass * rig.pulley_radius**2
-    grasper_inertia = v.instrument.grasper_inertia + mass * rig.instrument.grasper_length**2
+    grasper_inertia = own.grasper_inertia + mass * rig.instrument.grasper_length**2
     mobility = 1 / (rig.instrument.angle_ratio * rig.instrument.torque_factor * inertia)
     tendon_angle, tendon_speed, tendon_share = step_terms(
-        v.instrument.stiffness, v.instrument.damping, mobility + 1 / grasper_inertia, dt
+        own.stiffness, own.damping, mobility + 1 / grasper_inertia, dt
     )
     lag = 2 * math.pi * amplifier.bandwidth_hz * dt
     noise_decay = math.exp(-tick / motor.friction_noise_time)
-    drift_decay = math.exp(-tick / v.instrument.drift_time)
+    drift_decay = math.exp(-tick / own.drift_time)
     radial = motor.radial_friction * load.radial_force * (1 + v.misstated.weights)
     values = {
         "dt": dt,
@@ -75,57 +76,47 @@ def parameters(
         "torque_constant_coefficient": motor.torque_constant_temperature_coefficient,
         "coulomb": motor.coulomb_friction + radial,
         "static": motor.static_friction + radial,
-        "stribeck_velocity": motor.stribeck_velocity,
         "viscous": motor.viscous_friction,
         "asymmetry": motor.friction_asymmetry,
-        "presliding_angle": motor.presliding_angle,
-        "presliding_damping": motor.presliding_damping,
+        **_named(motor, "stribeck_velocity", "presliding_angle", "presliding_damping"),
         "noise_decay": noise_decay,
         "noise_gain": motor.friction_noise * math.sqrt(1 - noise_decay**2),
-        "gain": amplifier.gain,
-        "offset": amplifier.offset,
+        **_named(amplifier, "gain", "offset", "distortion", "distortion_period"),
         "current_step": -math.expm1(-lag),
         "current_kept": -math.expm1(-lag) / lag,
         "ripple_step": 1 - math.exp(-2 * math.pi * amplifier.ripple_corner_hz * dt),
-        "distortion": amplifier.distortion,
-        "distortion_period": amplifier.distortion_period,
         "resistance": thermal.winding_resistance,
-        "winding_to_housing": thermal.winding_to_housing,
-        "winding_capacity": thermal.winding_capacity,
-        "housing_to_ambient": thermal.housing_to_ambient,
-        "housing_capacity": thermal.housing_capacity,
-        "ambient_degc": thermal.ambient_degc,
+        **_named(thermal, "winding_to_housing", "winding_capacity", "ambient_degc"),
+        **_named(thermal, "housing_to_ambient", "housing_capacity"),
         "load_torque": load.torque + hanging,
         "clamped": load.clamped,
         "clamp_angle": clamp_angle,
         "arm_stiffness": v.arm.stiffness,
         "arm_damping": v.arm.damping,
         "instrument": instrument,
-        "angle_ratio": rig.instrument.angle_ratio,
-        "torque_factor": rig.instrument.torque_factor,
-        "stiffness": v.instrument.stiffness,
-        "damping": v.instrument.damping,
+        **_named(rig.instrument, "angle_ratio", "torque_factor"),
         "tendon_angle": tendon_angle,
         "tendon_speed": tendon_speed,
         "tendon_share": tendon_share,
         "grasper_inertia": grasper_inertia,
         "load_moment": force * rig.instrument.grasper_length,
-        "housing_friction": v.instrument.friction,
-        "housing_asymmetry": v.instrument.friction_asymmetry,
-        "housing_viscous": v.instrument.viscous_friction,
-        "housing_presliding_angle": v.instrument.presliding_angle,
-        "tip_friction": v.instrument.tip_friction,
-        "tip_presliding_angle": v.instrument.tip_presliding_angle,
-        "load_friction": v.instrument.load_friction,
-        "load_friction_onset": v.instrument.load_friction_onset,
-        "stroke_noise": v.instrument.stroke_noise,
-        "stroke_payback": v.instrument.stroke_payback,
-        "load_stroke_noise": v.instrument.load_stroke_noise,
+        "housing_friction": own.friction,
+        "housing_asymmetry": own.friction_asymmetry,
+        "housing_viscous": own.viscous_friction,
+        "housing_presliding_angle": own.presliding_angle,
+        **_named(own, "stiffness", "damping", "tip_friction", "tip_presliding_angle"),
+        **_named(own, "load_friction", "load_friction_onset"),
+        **_named(own, "stroke_noise", "stroke_payback", "load_stroke_noise"),
         "drift_decay": drift_decay,
-        "drift_gain": v.instrument.drift * math.sqrt(1 - drift_decay**2),
+        "drift_gain": own.drift * math.sqrt(1 - drift_decay**2),
         "load_inertia": mass * rig.load_arm**2,
         "inertia_per_weight": rig.load_arm / STANDARD_GRAVITY,
         "grip_stiffness": 0.0 if hand is None else hand.stiffness,
         "grip_damping": 0.0 if hand is None else hand.damping,
     }
     return np.array([tuple(values.values())], dtype=[(name, "f8") for name in values])
+
+
+def _named(section: Section, *names: str) -> dict[str, float]:
+    """Return values of a table of the recipe that have the same names in the compiled step."""
+    return {name: getattr(section, name) for name in names}
