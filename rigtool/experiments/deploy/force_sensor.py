@@ -138,23 +138,12 @@ def _drive(instrument: SensorProperties) -> dict[str, Number]:
 def _filter(instrument: SensorProperties) -> dict[str, Number]:
     own, span = instrument.model.uncertainty, instrument.grid.step_time
     moving = (
-        own.angle_rate,
-        own.speed_rate,
-        own.bristle_rate,
-        own.slip_rate,
-        own.grasper_rate,
-        own.speed_rate,
-        own.slip_rate,
+        *(own.angle_rate, own.speed_rate, own.bristle_rate, own.slip_rate),
+        *(own.grasper_rate, own.speed_rate, own.slip_rate),
     )
     same = (
-        "stroke",
-        "load_stroke",
-        "friction_noise",
-        "undecided",
-        "edge",
-        "torque_start",
-        "bristle_start",
-        "speed_start",
+        *("stroke", "load_stroke", "friction_noise", "undecided", "edge"),
+        *("torque_start", "bristle_start", "speed_start"),
     )
     return {
         **{name: getattr(own, name) for name in same},

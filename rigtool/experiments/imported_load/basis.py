@@ -291,19 +291,8 @@ LOAD_POWER = {
 """Power of the torque that a group is multiplied by; others stand alone."""
 
 FUNCTION_GROUPS = (
-    "offset",
-    "load",
-    "load_squared",
-    "load_cubed",
-    "viscous",
-    "stribeck",
-    "load_speed",
-    "inertia",
-    "memory",
-    "load_memory",
-    "ripple",
-    "reversal",
-    "load_reversal",
+    *("offset", "load", "load_squared", "load_cubed", "viscous", "stribeck", "load_speed"),
+    *("inertia", "memory", "load_memory", "ripple", "reversal", "load_reversal"),
 )
 """All groups of functions, by the number that run files know them by."""
 

@@ -259,4 +259,3 @@ def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
         noise=LearnedNoise(noise["lowest"], noise["highest"], float(noise["rounding"][0])),
     )
     return model, scales.columns["effort"].unit
-

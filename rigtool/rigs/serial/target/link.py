@@ -177,18 +177,9 @@ NUMBER = struct.Struct("<d")
 
 
 LINK_CHANNELS = (
-    "time",
-    "position_setpoint",
-    "encoder",
-    "current_setpoint",
-    "current",
-    "feedforward_current",
-    "table_current",
-    "signal_current",
-    "temperature",
-    "force",
-    "rotor_angle",
-    "deflection",
+    *("time", "position_setpoint", "encoder", "current_setpoint", "current"),
+    *("feedforward_current", "table_current", "signal_current"),
+    *("temperature", "force", "rotor_angle", "deflection"),
 )
 """Channels by the number of their bit. New ones go to the end: firmware knows the numbers."""
 
