@@ -137,10 +137,7 @@ def ilc_learn(
 
 
 def measure_force(
-    *sources: Source,
-    tables: File | Run,
-    kt: File | Run | None = None,
-    **options: Unpack[Options],
+    *sources: Source, tables: File | Run, kt: File | Run | None = None, **options: Unpack[Options]
 ) -> Outcome:
     """Measure known loads, reading force from current [8.1]."""
     from rigtool.experiments.force.procedure import PROCEDURE

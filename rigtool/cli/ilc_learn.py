@@ -4,13 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import (
-    current_output,
-    measuring,
-    open_inputs,
-    run_and_print,
-    run_option,
-)
+from rigtool.cli.options import current_output, measuring, open_inputs, run_and_print, run_option
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.inputs import is_recipe
 

@@ -60,10 +60,7 @@ class Instrument(Section):
     )
     grasper_length: float = Field(0.020, gt=0, description="axis to where the load hangs, m")
     angle_ratio_relative_u: float = Field(
-        0.0,
-        ge=0,
-        le=1,
-        description="relative uncertainty of angle_ratio and torque_factor",
+        0.0, ge=0, le=1, description="relative uncertainty of angle_ratio and torque_factor"
     )
     grasper_length_u: float = Field(0.0, ge=0, description="standard uncertainty of the length, m")
 

@@ -10,15 +10,7 @@ if TYPE_CHECKING:
     from rigtool.recipe import Recipe
     from rigtool.rigs.operator import Operator
 
-__all__ = [
-    "NEED_DESCRIPTIONS",
-    "Block",
-    "Feedforward",
-    "Load",
-    "Rig",
-    "Task",
-    "open_rig",
-]
+__all__ = ["NEED_DESCRIPTIONS", "Block", "Feedforward", "Load", "Rig", "Task", "open_rig"]
 
 
 def open_rig(

@@ -44,10 +44,7 @@ _OURS = re.compile(rf"\.rigtool-{_HOST}-(\d+)-[0-9a-f]{{8}}")
 
 
 def require_output(
-    path: str | os.PathLike[str],
-    *,
-    overwrite: bool,
-    inputs: Iterable[str | os.PathLike[str]] = (),
+    path: str | os.PathLike[str], *, overwrite: bool, inputs: Iterable[str | os.PathLike[str]] = ()
 ) -> Path:
     """Return the file to write, links followed; nothing is changed yet.
 

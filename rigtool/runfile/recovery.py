@@ -47,12 +47,7 @@ def recover(
     with _open_unfinished(part) as run, own_folder(output.parent) as folder:
         beside = folder / "recovered.h5"
         specs = [_spec(recording) for recording in run.recordings.values()]
-        with RunWriter(
-            beside,
-            command=run.command,
-            recordings=specs,
-            origin=run,
-        ) as writer:
+        with RunWriter(beside, command=run.command, recordings=specs, origin=run) as writer:
             samples = {item.name: _copy(item, writer) for item in run.recordings.values()}
             if not any(samples.values()):
                 raise RunFileError(f"{part}: holds no sample that is whole: nothing to recover")

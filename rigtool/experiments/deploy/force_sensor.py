@@ -34,9 +34,7 @@ INT32 = 2**31 - 1
 
 
 def sensor_header(
-    instrument: SensorProperties,
-    coverage_factor: float,
-    origin: Sequence[str],
+    instrument: SensorProperties, coverage_factor: float, origin: Sequence[str]
 ) -> str:
     """Return the text of the header for samples every `instrument.interval` s.
 

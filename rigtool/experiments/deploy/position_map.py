@@ -60,10 +60,7 @@ class PositionMap:
     def scaled(self, factor: float) -> PositionMap:
         """Return the map in another unit, `factor` times as large."""
         return replace(
-            self,
-            values=self.values * factor,
-            u=self.u * abs(factor),
-            mean=self.mean * factor,
+            self, values=self.values * factor, u=self.u * abs(factor), mean=self.mean * factor
         )
 
     def by_encoder(self, sign: int, offset: float) -> PositionMap:

@@ -61,13 +61,7 @@ def chosen_format(run: Run, output: Path, part: str | None, wanted: str | None) 
 
 
 def export_table(
-    run: Run,
-    output: Path,
-    wanted: str,
-    *,
-    speed: float | None,
-    kt: Run | None,
-    overwrite: bool,
+    run: Run, output: Path, wanted: str, *, speed: float | None, kt: Run | None, overwrite: bool
 ) -> tuple[str, ...]:
     """Write a learned table, or the sensor; return remarks: the loss by rounding, what is omitted.
 

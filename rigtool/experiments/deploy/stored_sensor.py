@@ -10,10 +10,7 @@ from rigtool.experiments.force_filter import passed
 from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import Reach
 from rigtool.experiments.force_model.stored import model_from
-from rigtool.experiments.force_sensor.procedure_calibration import (
-    require_calibration,
-    with_zero_of,
-)
+from rigtool.experiments.force_sensor.procedure_calibration import require_calibration, with_zero_of
 from rigtool.experiments.force_sensor.procedure_over_time import reach_of
 from rigtool.experiments.force_sensor.procedure_reading import instrument_of
 from rigtool.experiments.learning.stored_table import origin_of

@@ -134,10 +134,7 @@ def levels_of(signals: Sequence[LoadSignals]) -> list[int]:
 
 
 def learn_load_model(
-    signals: Sequence[LoadSignals],
-    *,
-    turn: float = 0.0,
-    prior: LoadModel | None = None,
+    signals: Sequence[LoadSignals], *, turn: float = 0.0, prior: LoadModel | None = None
 ) -> LearnedEffort:
     """Learn a model from recordings at two loads or more, each with a sensor.
 

@@ -19,10 +19,7 @@ def _sum_of_orders(orders: tuple[Order, ...]) -> Array:
 
 
 def _draw(
-    orders: tuple[DrawnOrder, ...],
-    phases: Array,
-    spread: float,
-    rng: np.random.Generator,
+    orders: tuple[DrawnOrder, ...], phases: Array, spread: float, rng: np.random.Generator
 ) -> Array:
     """Give each order the phase of its start-up and an amplitude of its own."""
     drawn = tuple(

@@ -332,11 +332,7 @@ def _import_map(
     """Write a series around a turn as a table."""
     table, notes = read_map(source, mapping)
     with RunWriter(
-        here,
-        command=schema.IMPORT,
-        overwrite=overwrite,
-        rig=mapping.rig.name,
-        source=origin,
+        here, command=schema.IMPORT, overwrite=overwrite, rig=mapping.rig.name, source=origin
     ) as writer:
         writer.finish(_results(0), {schema.MAP: table}, notes)
     return Imported(source, final, table.shape[0], 0, tuple(notes))

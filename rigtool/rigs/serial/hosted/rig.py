@@ -46,12 +46,7 @@ class HostedRig(SerialRig):
     """A rig behind the `Drive` that a driver makes; the host runs the loop."""
 
     def __init__(
-        self,
-        recipe: Recipe,
-        torque_constant: float,
-        use: str,
-        operator: Operator,
-        driver: Driver,
+        self, recipe: Recipe, torque_constant: float, use: str, operator: Operator, driver: Driver
     ) -> None:
         super().__init__(recipe, torque_constant, use, operator)
         self._driver = driver
