@@ -60,8 +60,7 @@ def fourier_series(turn: PositionMap, band: int | None) -> FourierSeries:
     if not clear.any():
         raise InsufficientDataError(
             f"none of the orders 1 to {highest} exceeds the noise by a factor of "
-            f"{SIGNIFICANT_RATIO:g} "
-            f"(the largest has {amplitude.max():.3g}, the noise floor is "
+            f"{SIGNIFICANT_RATIO:g} (the largest has {amplitude.max():.3g}, the noise floor is "
             f"{floor:.3g}): learn from more revolutions"
         )
     u = np.full(int(clear.sum()), floor / math.sqrt(2))

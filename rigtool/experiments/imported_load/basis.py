@@ -188,8 +188,7 @@ def _without_ends(time: Array, factor: int) -> slice:
     if not inside.size:
         raise InsufficientDataError(
             f"{time[-1] - time[0]:.3g} s, of which {END_TIME:g} s at either end are left out: "
-            "record "
-            "for longer"
+            "record for longer"
         )
     return slice(factor * inside[0], factor * inside[-1] + 1, factor)
 

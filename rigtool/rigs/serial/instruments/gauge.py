@@ -140,8 +140,7 @@ class LineGauge:
             raise HardwareError(
                 self._error
                 or f"{self._name}: {come} readings within {FIRST_READING_TIME:g} s, "
-                f"{FIRST_READINGS} are needed to "
-                "find a damaged one: look at its rate"
+                f"{FIRST_READINGS} are needed to find a damaged one: look at its rate"
             )
 
     @property

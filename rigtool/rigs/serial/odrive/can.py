@@ -137,8 +137,8 @@ class CanODrive:
         except LineTimeout:
             raise HardwareError(
                 f"{self._line.port}: no heartbeat of node {self._node} in {HEARTBEAT_TIMEOUT:g} s: "
-                "check node, "
-                "bit rate, termination, and heartbeat_rate_ms (0.6: heartbeat_msg_rate_ms)"
+                "check node, bit rate, termination, and heartbeat_rate_ms (0.6: "
+                "heartbeat_msg_rate_ms)"
             ) from None
         name = self._read_version()
         self._require_no_fault()
