@@ -59,10 +59,10 @@ def test_results_are_those_stored_beside_the_fixture(analysed):
             )
     expected = {key: own for key, own in COLUMNS.items() if key.split()[0] == name}
     assert set(columns) == set(expected)
-    for column, (unit, count, *reference) in expected.items():
-        assert columns[column][:2] == [unit, count], column
+    for column, (unit, kind, count, *reference) in expected.items():
+        assert columns[column][:3] == [unit, kind, count], column
         slack = ROUNDING * math.hypot(*reference[:2]) + ZERO
-        assert columns[column][2:] == pytest.approx(reference, rel=0, abs=slack), column
+        assert columns[column][3:] == pytest.approx(reference, rel=0, abs=slack), column
 
 
 def test_fixtures_are_small():

@@ -2,11 +2,13 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError, RunFileError
+from rigtool.experiments.friction.imported import _stretches
 from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
@@ -190,6 +192,17 @@ def test_runs_that_do_not_go_together(tmp_path):
     assert any("1 of 2 recordings hold constant speeds" in note for note in both.notes)
     with pytest.raises(InsufficientDataError, match=r"one speed, .* does not separate"):
         analyse(paths[1:], tmp_path / "g.h5")
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_set_points_that_hold_speeds_in_one_direction_are_holds(direction):
+    time = 0.01 * np.arange(3000)
+    held = direction * np.interp(time, [0, 10, 20, 30], [0, 10, 30, 70])
+    swung = direction * np.sin(time)
+    for setpoint, stretches in ((held, [(0, len(time))]), (swung, [])):
+        channels = {"time": time, "position": setpoint, "position_setpoint": setpoint}
+        recording = SimpleNamespace(has=channels.__contains__, read=channels.__getitem__)
+        assert _stretches(recording) == stretches
 
 
 def test_wrong_signs_are_reported(tmp_path):

@@ -226,7 +226,7 @@ def held(speed, torque, u):
     columns = {"speed": Column(speed, "rad/s"), "torque": Column(torque, "N m")}
     columns["u"] = Column(np.full(len(speed), u), "N m")
     columns["dof"] = Column(np.full(len(speed), 9.0), "1")
-    return Table(("speed",), columns, "torque")
+    return Table(("speed",), columns, "torque", "")
 
 
 def stored(table):

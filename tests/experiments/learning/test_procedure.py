@@ -266,7 +266,7 @@ def test_tables_of_one_direction_are_refused(learned):
             name: Column(column.values if name == "position" else column.values[2:], column.unit)
             for name, column in whole.columns.items()
         }
-        half = {"lookup": Table(whole.axes, columns, whole.signal)}
+        half = {"lookup": Table(whole.axes, columns, whole.signal, "")}
         stand_in = SimpleNamespace(
             path=tables.path,
             recipe=tables.recipe,
@@ -289,7 +289,7 @@ def test_a_broken_table_is_refused(learned):
     with open_run(learned[0]) as tables:
         whole = tables.table("lookup")
         columns = {**whole.columns, "speed": Column(whole["speed"][::-1], "rad/s")}
-        broken = {"lookup": Table(whole.axes, columns, whole.signal)}
+        broken = {"lookup": Table(whole.axes, columns, whole.signal, "")}
         stand_in = SimpleNamespace(
             path=tables.path,
             results=tables.results,

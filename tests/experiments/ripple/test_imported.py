@@ -28,7 +28,7 @@ from rigtool.experiments.running.session import run_command
 from rigtool.recipe.mapping import load_mapping, parse_mapping
 from rigtool.runfile import open_run
 from rigtool.runfile.importers import import_files
-from tests.experiments.imported_runs import SLOW, crossed, slow_turn, take
+from tests.experiments.imported_runs import COUNTS, SLOW, crossed, slow_turn, take
 
 ROOT = Path(__file__).parents[3]
 COGGING = ROOT / ".." / "shared" / "data" / "odrive-cogging" / "analysis" / "cogging_torque"
@@ -81,6 +81,18 @@ def test_orders_and_by_how_much_each_was_reduced(turns):
         assert (run.command, run.rig) == ("fft-ripple", "slow")
         assert len(run.provenance["inputs"]) == 6
         assert run.table("reduction").shape == (1, 440)
+
+
+def test_one_irregular_time_axis_is_noted(tmp_path):
+    irregular, regular = slow_turn(1, 0), slow_turn(2, 0)
+    time = np.linspace(*regular["t"][[0, -1]], len(regular["t"]))
+    turned = np.unwrap(regular["q"], period=COUNTS)
+    regular["q"] = np.interp(time, regular["t"], turned) % COUNTS
+    regular["i"], regular["t"] = np.interp(time, regular["t"], regular["i"]), time
+    paths = take(tmp_path, SLOW, {"off_0": irregular, "off_1": regular})
+    for sources, noted in ((paths, True), (paths[1:], False)):
+        notes = analyse(sources, tmp_path / "r.h5").notes
+        assert any("irregular time axis" in note for note in notes) == noted
 
 
 def test_one_condition_alone_has_orders_and_nothing_to_compare(turns):

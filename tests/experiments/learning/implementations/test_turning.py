@@ -11,6 +11,10 @@ from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.learning import procedure as ilc_learn
 from rigtool.experiments.learning.implementations import a_one_speed as one_speed
 from rigtool.experiments.learning.implementations import standard_trajectory as trajectory
+from rigtool.experiments.learning.implementations.a_one_speed import OneSpeed
+from rigtool.experiments.learning.implementations.b_all_speeds import AllSpeeds
+from rigtool.experiments.learning.implementations.bare_motor import sweep_specs
+from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.learning.procedure_design import design_filters
 from rigtool.experiments.learning.rows import Row
@@ -85,6 +89,17 @@ def learned(folder, kt):
     path = folder / "b.h5"
     settings = (*SHORT, "ilc_learn.iterations=1", "ilc_learn.turning.revolutions=20")
     return path, run(ILC_LEARN, RECIPE, path, *settings, using("B"), kt=kt)
+
+
+@pytest.mark.parametrize("validation", [True, False])
+@pytest.mark.parametrize("kind", [OneSpeed, AllSpeeds, LimitedAngle])
+def test_runs_with_and_without_the_table_are_recorded_to_validate_it(kind, validation):
+    recipe = load_recipe(RECIPE, (PULLEY, f"ilc_learn.validation={str(validation).lower()}"))[0]
+    recorded = {name for name, specs in kind.kinds(recipe).items() if specs}
+    sweeps = set() if kind is LimitedAngle else set(sweep_specs(recipe))
+    assert ({"off", "on"} | sweeps) & recorded == (
+        ({"off", "on"} | sweeps) if validation else set()
+    )
 
 
 # -- the proof
