@@ -20,6 +20,7 @@ from rigtool.recipe.commands import IlcLearn
 from rigtool.runfile import Column, Table, open_run
 from tests.experiments.virtual_runs import QUIET, RECIPE, run, write_kt, write_results
 from tests.thorough import first_of
+from tests.unchanged import require_unchanged
 
 PULLEY = "rig.attachment=pulley"
 SHORT = (
@@ -63,6 +64,11 @@ def compensated(folder, kt, friction):
     """Learned on a rig of friction only, which is fed forward: nothing is left to learn."""
     path = folder / "compensated.h5"
     return path, run(ILC_LEARN, RECIPE, path, *SHORT, *QUIET, kt=kt, friction=friction)
+
+
+def test_no_other_number_has_changed(learned, compensated):
+    require_unchanged("C", learned[1])
+    require_unchanged("C-compensated", compensated[1])
 
 
 def test_little_remains_of_the_disturbance(learned):

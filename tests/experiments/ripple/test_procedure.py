@@ -21,6 +21,7 @@ from tests.experiments.virtual_runs import (
     write_kt,
     write_results,
 )
+from tests.unchanged import require_unchanged
 
 SHORT = (
     "fft_ripple.speeds=[3, 30]",
@@ -44,6 +45,10 @@ def kt(folder):
 def measured(folder, kt):
     path = folder / "ripple.h5"
     return path, run(FFT_RIPPLE, RECIPE, path, *SHORT, kt=kt)
+
+
+def test_no_other_number_has_changed(measured):
+    require_unchanged("ripple", measured[1])
 
 
 def test_the_second_order_is_strongest_slowly_and_the_first_fast(measured):

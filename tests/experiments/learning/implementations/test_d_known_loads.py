@@ -19,6 +19,7 @@ from rigtool.recipe import load_recipe
 from rigtool.runfile import open_run
 from tests.experiments.learned_loads import KT, RIG, D, learned_loads
 from tests.experiments.virtual_runs import RECIPE, run
+from tests.unchanged import require_unchanged
 
 FORCE = (
     "measure_force.forces=[0.25, 2.5]",
@@ -52,6 +53,11 @@ def rig(tmp_path_factory):
 def thesis(rig):
     """Measure loads at 1 rev/s by the thesis's way; the run is stored as `thesis.h5`."""
     return rig(at(1), output="thesis.h5")
+
+
+def test_no_other_number_has_changed(rig, thesis):
+    require_unchanged("D", rig.learned)
+    require_unchanged("D-thesis", thesis)
 
 
 def test_the_rig_gives_its_tendon_and_load_friction_back(rig):

@@ -23,6 +23,7 @@ from rigtool.recipe import load_recipe, override_recipe
 from rigtool.runfile import open_run
 from tests.experiments.virtual_runs import QUIET, RECIPE, run, write_kt, write_results
 from tests.thorough import first_of
+from tests.unchanged import require_unchanged
 
 PULLEY = "rig.attachment=pulley"
 SHORT = (
@@ -103,6 +104,12 @@ def test_runs_with_and_without_the_table_are_recorded_to_validate_it(kind, valid
 
 
 # -- the proof
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_no_other_number_has_changed(request, proof, number):
+    if request.node.callspec.params["proof"] == SEEDS[0]:
+        require_unchanged("AB"[number], proof[number])
 
 
 def test_little_remains_at_any_speed(proof):
@@ -331,6 +338,10 @@ def standard(folder, kt):
     path = folder / "standard.h5"
     settings = (using("standard"), "ilc_learn.iterations=3", "ilc_learn.trajectory.moves=5")
     return path, run(ILC_LEARN, RECIPE, path, *settings, PULLEY, kt=kt)
+
+
+def test_no_other_number_of_the_move_has_changed(standard):
+    require_unchanged("standard", standard[1])
 
 
 def test_the_error_of_a_repeated_move_is_learned_away(standard):
