@@ -65,6 +65,12 @@ def rig(tmp_path_factory):
     return folder, paths, outcome
 
 
+@pytest.mark.parametrize("option", ["friction", "plant"])
+def test_options_of_the_bench_are_refused(option):
+    with pytest.raises(UsageError, match=f"--{option}: is of the bench's own rig"):
+        ILC_LEARN.analyse_imported([], **{option: object()})
+
+
 @pytest.mark.parametrize("count", [1, 7, 20, 21, 40])
 def test_noise_floors_of_few_orders_are_steadied_among_themselves(count):
     steadied = _steadied(np.full(count, 2.0))
