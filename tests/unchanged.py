@@ -63,9 +63,8 @@ def require_results(found, expected):
                 assert own[part] is None, result
                 continue
             slack = 0.01 * (reference["u"] or 0.0)
-            assert math.isclose(own[part], reference[part], rel_tol=1e-5, abs_tol=slack), (
-                f"{result}.{part}: {own[part]} against {reference[part]}"
-            )
+            known = pytest.approx(reference[part], rel=1e-5, abs=slack, nan_ok=True)
+            assert own[part] == known, f"{result}.{part}"
 
 
 def require_columns(found, expected):
