@@ -14,7 +14,7 @@
 # make coverage       whether stated intervals hold, on virtual rigs drawn anew
 # make coverage-short five minutes of it, with an exit code
 # make fixtures       the runs in tests/fixtures, stored anew
-# make references     what the runs in tests/fixtures are compared with, analysed anew
+# make references     what the tests compare outcomes with, analysed anew
 # make release-check  tests, site, source distribution, wheel: what a release needs
 # make clean          removes build
 # make help           shows this list
@@ -220,6 +220,7 @@ fixtures: $(INSTALLED)
 
 references: $(INSTALLED)
 	$(BIN)/python -m tests.fixtures.make --analyse
+	STORE_OUTCOMES=1 $(BIN)/python -m pytest -q -n 0 tests/experiments
 
 bench: $(INSTALLED)
 	$(BIN)/python benchmarks/bench.py

@@ -102,7 +102,7 @@ class Table:
     axes: tuple[str, ...]
     columns: Mapping[str, Column]
     signal: str
-    description: str = ""
+    description: str
 
     def __post_init__(self) -> None:
         _require_names("column", self.columns)

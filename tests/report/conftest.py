@@ -266,7 +266,7 @@ def corrected() -> tuple[dict[str, Quantity], dict[str, Table]]:
         "error_torque": Column(mean - applied, "N m"),
         "error_percent": Column(percent, "%"),
     }
-    corrected = Table(("load",), found, "mean_torque")
+    corrected = Table(("load",), found, "mean_torque", "")
     return results, {**tables, "loads": corrected, "loads_uncorrected": tables["loads"]}
 
 

@@ -73,14 +73,14 @@ def test_no_line_passes_zero_speed(tmp_path):
         "speed": Column(np.array([-1.0, 1.0, -2.0, 2.0]), "rad/s"),
         "torque": Column(np.array([-3e-3, 3e-3, -4e-3, 4e-3]), "N m"),
     }
-    axes = drawn(tmp_path / "a.h5", {}, {"friction": Table(("speed",), columns, "torque")})
+    axes = drawn(tmp_path / "a.h5", {}, {"friction": Table(("speed",), columns, "torque", "")})
     (line,) = axes.lines
     np.testing.assert_allclose(line.get_ydata(), [-4, -3, np.nan, 3, 4], rtol=1e-12)
 
 
 def test_numbered_values_are_points_at_whole_numbers(tmp_path):
     columns = {"load": Column(np.arange(3), "1"), "torque": Column(np.arange(3.0), "N m")}
-    axes = drawn(tmp_path / "a.h5", {}, {"loads": Table(("load",), columns, "torque")})
+    axes = drawn(tmp_path / "a.h5", {}, {"loads": Table(("load",), columns, "torque", "")})
     (line,) = axes.lines
     assert line.get_linewidth() == 0
     np.testing.assert_array_equal(axes.get_xticks(), np.round(axes.get_xticks()))
@@ -101,7 +101,7 @@ def test_rows_with_a_time_are_drawn_over_it(tmp_path):
         "time": Column(np.array([7.0, 7.5, 8.0, 2.0, 2.5]), "s"),
         "torque": Column(np.array([1e-3, np.nan, 3e-3, 4e-3, 5e-3]), "N m"),
     }
-    axes = drawn(tmp_path / "a.h5", {}, {"force": Table(("row",), columns, "torque")})
+    axes = drawn(tmp_path / "a.h5", {}, {"force": Table(("row",), columns, "torque", "")})
     assert axes.get_xlabel() == "time [s]"
     first, second = axes.lines
     np.testing.assert_array_equal(first.get_xdata(), [7.0, 7.5, 8.0])

@@ -134,7 +134,7 @@ def changed(folder: Path, **what) -> Path:
 def another_column(tables: dict[str, Table]) -> None:
     values = np.array([2.4e-3, np.nan, 6e-3])
     columns = dict(TABLES["breakaway"].columns) | {"positive": Column(values, "N m")}
-    tables["breakaway"] = Table(("position",), columns, "positive")
+    tables["breakaway"] = Table(("position",), columns, "positive", "")
 
 
 def test_an_analysis_differs_in_results_and_tables_only(tmp_path):

@@ -173,7 +173,7 @@ def test_columns_take_a_type_that_every_reader_knows(values, dtype):
 )
 def test_a_table_that_makes_no_sense_is_refused(axes, signal, columns, message):
     with pytest.raises(ValueError, match=message):
-        Table(axes, {name: Column(np.array(v), "1") for name, v in columns.items()}, signal)
+        Table(axes, {name: Column(np.array(v), "1") for name, v in columns.items()}, signal, "")
 
 
 def test_text_is_no_column():

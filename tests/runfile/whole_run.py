@@ -61,6 +61,7 @@ TABLES = {
             "positive": Column(np.array([2.4e-3, np.nan, 5e-3]), "N m"),
         },
         "positive",
+        "",
     ),
 }
 SOURCE = Source("other.csv", "0" * 64, "mapping = 1\n")

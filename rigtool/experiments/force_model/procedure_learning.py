@@ -232,10 +232,7 @@ def _errors(
     truth = np.interp(time, (0.5 + np.arange(len(acting))) * record.interval, acting)
     later = lowpass(1 / grid.step_time, torque - truth, corner_hz)
     at_once = causal.passed - delayed(1 / grid.step_time, truth, corner_hz)
-    margin, every = (
-        round(FILTER_SETTLING_TIME / grid.step_time),
-        max(1, round(TIME_APART / grid.step_time)),
-    )
+    margin, every = (round(time / grid.step_time) for time in (FILTER_SETTLING_TIME, TIME_APART))
     chosen = slice(margin, -margin, every)
     return Errors(
         np.stack([later, at_once])[:, chosen],

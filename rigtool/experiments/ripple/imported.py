@@ -70,7 +70,7 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
     if pairs:
         tables["reduction"] = _reduction_table(pairs, orders)
     notes = [f"torque ripple is that of the {effort.origin}"]
-    if any(irregular(recording.read("time")) for recording in recordings):
+    if any(irregular(np.diff(recording.read("time"))) for recording in recordings):
         notes.append("the irregular time axis: each cell of the turn has the mean over time")
     if left_out:
         notes.append(f"parts of a file without a turn were left out: {', '.join(left_out)}")

@@ -63,7 +63,8 @@ def test_scatter_within_and_between_runs_is_that_of_an_analysis_of_variance():
 def test_strokes_that_miss_a_position_count_where_they_are():
     """Positions have means of their own; those of one stroke show no scatter."""
     error = np.array([[0.0, 10.0, np.nan], [2.0, 14.0, np.nan], [4.0, np.nan, 7.0]]) * 1e-3
-    found, notes = scatter_results([Strokes(np.arange(3.0), 1 + error, np.ones((3, 3)))])
+    error = np.column_stack([error, np.full(3, np.nan)])  # where those of another run are
+    found, notes = scatter_results([Strokes(np.arange(4.0), 1 + error, np.ones((3, 4)))])
     # squares of 4 + 0 + 4 and 4 + 4 (mN m)^2, with two and one degrees of freedom
     assert_allclose(found["scatter_between_strokes"].value, 1e-3 * np.sqrt(16 / 3), rtol=1e-9)
     assert set(found) == {"scatter_between_strokes"}

@@ -24,6 +24,7 @@ from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe, load_recipe
 from rigtool.rigs import Block, Task
 from rigtool.runfile import Run, RunWriter, open_run, recording
+from tests.unchanged import require_unchanged
 
 RECIPE = Path(__file__).parents[3] / "recipes" / "briaire-2006.toml"
 SHORT = (
@@ -163,6 +164,7 @@ def test_a_stiff_pulley_without_friction_reads_what_hangs_on_it(tmp_path, inputs
     assert (loads["std_torque"] > 0.03e-3).all()
     assert (loads["std_torque"] < 0.25e-3).all()
     assert "lifting_torque" not in outcome.results
+    require_unchanged("known-pulley", outcome)
 
 
 def test_torque_below_zero_has_an_uncertainty_above_it(tmp_path, inputs):
@@ -188,6 +190,7 @@ def test_the_instrument_gives_friction_and_stiffness_back(tmp_path, inputs):
     assert results["peak_shift_counts"].value == pytest.approx(0.5 / math.pi * 1700, rel=0.02)
     assert results["stiffness"].value == pytest.approx(0.2, rel=0.02)
     assert results["stiffness"].reason is not None
+    require_unchanged("known-instrument", outcome)
     twist = 0.05
     for _ in range(100):
         twist = 0.05 * math.sin(math.pi / 2 - twist / 0.2)
@@ -212,6 +215,7 @@ def test_uncertainty_holds_the_ripple_of_the_torque_constant(tmp_path, inputs):
     loads = outcome.tables["loads"]
     assert loads["mean_torque_u"][2] == pytest.approx(35e-3 * math.hypot(0.01, 1e-3), rel=1e-3)
     assert loads["mean_torque_dof"][2] == pytest.approx(7, rel=0.05)
+    require_unchanged("known-ripple", outcome)
 
 
 def test_a_zero_reading_takes_off_what_remains_without_load(tmp_path, inputs):
@@ -224,6 +228,7 @@ def test_a_zero_reading_takes_off_what_remains_without_load(tmp_path, inputs):
         loads["mean_torque"][1:], values[1:].mean(axis=1) - zero, rtol=1e-9, atol=0
     )
     assert loads["mean_torque"][0] == pytest.approx(zero, rel=1e-9)
+    require_unchanged("known-zero", outcome)
     # The table's error is in the zero reading too: its scatter counts instead.
     scatter = loads["std_torque"] / np.sqrt(loads["effective_cycles"])
     expected = np.sqrt(scatter[1:] ** 2 + scatter[0] ** 2 + (1e-3 * loads["mean_torque"][1:]) ** 2)

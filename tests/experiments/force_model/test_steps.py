@@ -65,6 +65,12 @@ def test_means_keep_the_sum_of_what_they_average():
     np.testing.assert_allclose(grid.means(np.array([1.0, 3.0, 5.0, 9.0, 7.0])), [2.0, 7.0], rtol=0)
 
 
+def test_a_slow_sample_is_each_of_the_filter_s_within_it():
+    grid = FilterSteps.of(2e-3, 125e-6)
+    assert (grid.divided, grid.earlier) == (4, False)
+    np.testing.assert_array_equal(grid.means(np.array([1.0, 3.0])), [1.0] * 4 + [3.0] * 4)
+
+
 def test_a_gap_and_bad_samples_divide_a_recording():
     time = np.arange(20) * 0.1
     time[8:] += 0.5

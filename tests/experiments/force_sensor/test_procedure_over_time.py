@@ -20,11 +20,13 @@ from rigtool.experiments.force_sensor.procedure_over_time import (
     model_and_reach,
     over_time,
 )
+from rigtool.experiments.force_sensor.unknown_inertia import Turns
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.recipe import load_recipe
 from rigtool.runfile import RecordingSpec, RunWriter, open_run
 from tests.experiments.learned_loads import KT, RIG, D, learned_loads
 from tests.experiments.virtual_runs import RECIPE, run
+from tests.unchanged import require_unchanged
 
 PULSE = '[[virtual.contact]]\nkind = "pulse"\nat = [2.0, 5.0]\nduration = 1.5\nforce = 2.0\n'
 MOMENT = 2.0 * 0.020
@@ -62,6 +64,10 @@ def test_a_contact_that_nothing_knows_of_is_read(strokes):
     assert strokes.results["peak_torque"].value == pytest.approx(MOMENT, rel=0.2)
 
 
+def test_no_other_number_has_changed(strokes):
+    require_unchanged("over-time", strokes)
+
+
 def test_the_reference_judges_each_form(strokes):
     results = strokes.results
     assert results["rmse"].value < 3e-3
@@ -71,12 +77,21 @@ def test_the_reference_judges_each_form(strokes):
     assert np.nansum(accuracy["share"]) == pytest.approx(1.0)
 
 
-def test_a_stored_run_gives_the_same_again(rig, strokes):
+def test_a_stored_run_gives_the_same_again(rig, strokes, monkeypatch):
+    """Inertia that nobody learned is sought in the rows of the table."""
+    sought, of = [], Turns.of
+    monkeypatch.setattr(Turns, "of", lambda *rows: sought.append(rows) or of(*rows))
     again = run(
         MEASURE_FORCE, rig.folder / "strokes.h5", rig.folder / "again.h5", kt=KT, tables=rig.tables
     )
     for name in strokes.tables["force"].columns:
         np.testing.assert_array_equal(again.tables["force"][name], strokes.tables["force"][name])
+    ((step_time, _, known, torque, u),) = sought
+    force = again.tables["force"]
+    np.testing.assert_allclose(np.diff(force["time"]), step_time, rtol=1e-6)
+    np.testing.assert_array_equal(known, np.isfinite(force["torque"]))
+    np.testing.assert_allclose(torque[known], force["torque"][known], rtol=1e-12)
+    np.testing.assert_allclose(u[known], force["u"][known], rtol=1e-12)
 
 
 def test_there_is_no_value_while_the_current_is_at_its_limit(rig, strokes):
@@ -90,6 +105,7 @@ def test_there_is_no_value_while_the_current_is_at_its_limit(rig, strokes):
 
 def test_recordings_of_learning_are_read_too(rig):
     found = run(MEASURE_FORCE, rig.tables, rig.folder / "learned.h5", kt=KT, tables=rig.tables)
+    require_unchanged("over-time-learning", found)
     table = found.tables["force"]
     with open_run(rig.tables) as stored:
         names = [r.name for r in stored.recordings.values() if r.has("temperature") and r.size]
@@ -105,13 +121,16 @@ def test_recordings_of_learning_are_read_too(rig):
 def test_observing_reads_what_somebody_else_moves(rig):
     found = rig(8.0, observed=True, name="observed.h5")
     assert found.results["rmse"].value < 6e-3
+    require_unchanged("observed", found)
     with open_run(rig.folder / "observed.h5") as stored:
         assert not stored.recording("observed_000").has("position_setpoint")
 
 
 def test_a_hand_at_the_output_may_hold_whatever_friction_does(rig):
     hand = ("virtual.hand.moves=output", "virtual.hand.pause_share=0.6")
-    table = rig(20.0, *hand, observed=True, source=RECIPE, name="hand.h5").tables["force"]
+    found = rig(20.0, *hand, observed=True, source=RECIPE, name="hand.h5")
+    require_unchanged("hand", found)
+    table = found.tables["force"]
     rests = table["state"] == State.STILL
     error = np.abs(table["torque"] - table["reference"])
     assert rests.mean() > 0.2

@@ -2,11 +2,13 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError, RunFileError
+from rigtool.experiments.friction.imported import _stretches
 from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
@@ -15,6 +17,7 @@ from rigtool.runfile import open_run
 from rigtool.runfile.importers import import_files
 from tests.experiments.imported_runs import crossed, take
 from tests.thorough import thorough
+from tests.unchanged import require_unchanged
 
 ROOT = Path(__file__).parents[3]
 FIXTURES = ROOT / "tests" / "fixtures"
@@ -113,6 +116,7 @@ def test_a_staircase_of_speed_in_one_run(tmp_path, asked, ways):
         found = outcome.results[f"{name}_positive"]
         assert found.value == pytest.approx(expected, rel=0.02, abs=0)
     assert ("viscous_friction_negative" in outcome.results) == (ways == 2)
+    require_unchanged(f"speeds-{asked}-{ways}", outcome)
 
 
 def test_strokes_at_other_speeds_in_each_direction_give_offset_and_inertia(tmp_path):
@@ -136,6 +140,7 @@ def test_strokes_at_other_speeds_in_each_direction_give_offset_and_inertia(tmp_p
         found = outcome.results[name]
         assert found.value == pytest.approx(expected, rel=within, abs=0), name
         assert abs(found.value - expected) < 3 * found.u, name
+    require_unchanged("imported-strokes", outcome)
 
 
 @pytest.mark.parametrize("settling", [1, *thorough(0)])
@@ -158,7 +163,9 @@ def test_holds_in_both_directions_with_settling_left_out(tmp_path, settling):
 @pytest.mark.parametrize(("text", "unit"), [(MOVED, "N m"), (LINEAR, "N")])
 def test_any_motion_gives_inertia_and_friction(tmp_path, text, unit):
     paths = take(tmp_path, text, {"a": moved(), "b": moved(1)})
-    results = analyse(paths, tmp_path / "f.h5").results
+    outcome = analyse(paths, tmp_path / "f.h5")
+    require_unchanged(f"imported-motion-{len(unit)}", outcome)
+    results = outcome.results
     units = {
         "inertia": ("kg m2", "kg"),
         "viscous_friction": ("N m s/rad", "N s/m"),
@@ -179,6 +186,7 @@ def test_a_spring_is_not_taken_for_inertia(tmp_path):
     outcome = analyse(take(tmp_path, MOVED, {"a": arrays}), tmp_path / "f.h5")
     assert "inertia" not in outcome.results
     assert any("a spring acts" in note for note in outcome.notes)
+    require_unchanged("imported-spring", outcome)
     assert outcome.results["coulomb_friction"].value == pytest.approx(2.0, rel=0.02, abs=0)
 
 
@@ -190,6 +198,17 @@ def test_runs_that_do_not_go_together(tmp_path):
     assert any("1 of 2 recordings hold constant speeds" in note for note in both.notes)
     with pytest.raises(InsufficientDataError, match=r"one speed, .* does not separate"):
         analyse(paths[1:], tmp_path / "g.h5")
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_set_points_that_hold_speeds_in_one_direction_are_holds(direction):
+    time = 0.01 * np.arange(3000)
+    held = direction * np.interp(time, [0, 10, 20, 30], [0, 10, 30, 70])
+    swung = direction * np.sin(time)
+    for setpoint, stretches in ((held, [(0, len(time))]), (swung, [])):
+        channels = {"time": time, "position": setpoint, "position_setpoint": setpoint}
+        recording = SimpleNamespace(has=channels.__contains__, read=channels.__getitem__)
+        assert _stretches(recording) == stretches
 
 
 def test_wrong_signs_are_reported(tmp_path):

@@ -75,6 +75,15 @@ def test_a_single_sample_in_each_range_shows_no_chance():
     assert share == pytest.approx(1.0, rel=1e-12)
 
 
+def test_without_a_residual_nothing_is_in_doubt():
+    speed = np.gradient(PLACES, TIME)
+    for doubt in (
+        curvature(speed, np.sign(speed), np.zeros(COUNT), DESIGN, 100.0),
+        long_ripple(PLACES, np.ones(COUNT), np.zeros(COUNT), DESIGN, 100.0),
+    ):
+        np.testing.assert_array_equal(doubt, np.zeros(2))
+
+
 def test_doubts_scale_with_what_shows_and_go_to_what_is_alike():
     random = np.random.default_rng(3)
     shape = left(np.sin(5 * PLACES))

@@ -15,6 +15,7 @@ from rigtool.recipe.mapping import parse_mapping
 from rigtool.runfile import Column, Table, open_run
 from tests.experiments.friction.test_imported import HELD, analyse, hold
 from tests.experiments.imported_runs import take
+from tests.unchanged import require_unchanged
 
 ARM = 0.3
 """From the shaft to the payload, m."""
@@ -124,6 +125,7 @@ def test_runs_by_the_command(tmp_path):
         assert abs(gravity.value - 0.205 * 9.81 * ARM / 5) < 4 * gravity.u
         assert outcome.results["inertia_difference"].unit == "A s2/rad"
         assert any("coupling to other joints" in note for note in outcome.notes)
+        require_unchanged("paired-motion", outcome)
         with pytest.raises(UsageError, match="one recording with one"):
             analyse([unknown, known], tmp_path / "e.h5", against=against)
         with pytest.raises(UsageError, match="given twice"):
@@ -156,6 +158,7 @@ def test_curves_at_constant_speeds(tmp_path):
         outcome = analyse([paths[2]], tmp_path / "d.h5", against=bare, reference=once)
     results = outcome.results
     assert outcome.tables["hold_differences"].shape == (12,)
+    require_unchanged("paired-holds", outcome)
     for name, truth in (
         ("coulomb_friction_difference", 0.8e-3),
         ("viscous_friction_difference", 0.02e-3),
@@ -226,7 +229,7 @@ def held(speed, torque, u):
     columns = {"speed": Column(speed, "rad/s"), "torque": Column(torque, "N m")}
     columns["u"] = Column(np.full(len(speed), u), "N m")
     columns["dof"] = Column(np.full(len(speed), 9.0), "1")
-    return Table(("speed",), columns, "torque")
+    return Table(("speed",), columns, "torque", "")
 
 
 def stored(table):

@@ -26,6 +26,7 @@ from rigtool.recipe.commands import Stribeck
 from rigtool.runfile import Recording, RecordingSpec, RunWriter, open_run
 from tests.experiments.virtual_runs import RECIPE, run, write_kt
 from tests.thorough import first_of
+from tests.unchanged import require_unchanged
 
 SHORT = (
     "stribeck.hold_speeds=[0.6, 1, 2, 5, 10, 20, 30]",
@@ -48,6 +49,10 @@ def kt(folder):
 def measured(folder, kt):
     path = folder / "friction.h5"
     return path, run(STRIBECK, RECIPE, path, *SHORT, seed=1, kt=kt)
+
+
+def test_no_other_number_has_changed(measured):
+    require_unchanged("friction", measured[1])
 
 
 def extract(source, target, *names):

@@ -140,6 +140,19 @@ def test_published_friction_comes_back():
         assert fit.lowest >= 1
 
 
+@pytest.mark.parametrize("largest", [2e-5, 4e-4])
+def test_a_line_is_weighed_by_each_u_and_by_the_median_of_all(largest):
+    """Of two variances, in equal parts; one u that is large changes no other weight."""
+    rng, speed = np.random.default_rng(4), np.array([5.0, 10.0, 15.0, 20.0, 30.0])
+    u = np.array([1e-5, 2e-5, largest, 1e-5, 3e-5])
+    torque = 2e-3 + 5e-5 * speed + 1e-5 * rng.standard_normal(5)
+    fit = fit_direction(speed, torque, u)
+    weight = 1 / np.sqrt((u**2 + np.median(u) ** 2) / 2)
+    viscous, coulomb = np.polyfit(speed, torque, 1, w=weight)
+    assert fit.lowest == speed[0]
+    assert_allclose((fit.coulomb[0], fit.viscous[0]), (coulomb, viscous), rtol=1e-6)
+
+
 def test_stribeck_effect_is_found_where_data_carry_it():
     motor = Motor(stribeck_velocity=1.5, noise=0.05e-3)
     found = holds_of(motor, [0.4, 0.7, *SPEEDS[1:]])

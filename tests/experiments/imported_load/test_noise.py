@@ -1,10 +1,19 @@
 """How an effort was recorded: noise, steps and a low-pass that were not learned."""
 
+import itertools
+
 import numpy as np
 import pytest
+from scipy.signal import welch
 
 from rigtool.experiments.imported_load.learning import learn_load_model
-from rigtool.experiments.imported_load.noise import EffortNoise, _lag, learned_noise, noise_of
+from rigtool.experiments.imported_load.noise import (
+    SEGMENT_PERIODS,
+    EffortNoise,
+    _lag,
+    learned_noise,
+    noise_of,
+)
 from rigtool.numerics.lowpass import delayed, lowpass
 from tests.experiments.imported_load.loaded_drive import (
     RATE,
@@ -53,6 +62,26 @@ def test_white_noise_in_the_band_is_what_the_low_pass_lets_through():
     assert variance == pytest.approx(np.var(lowpass(1000.0, loud, 5.0)), rel=0.1)
     assert lag == 0
     assert learned.beyond(noise_of(quiet, 1000.0, 5.0), 5.0) == (0, 0)
+
+
+def test_a_short_recording_is_one_part():
+    """Of less than four segments, by scipy; with twice as many it is the mean of two parts."""
+    rate, bandwidth = 1000.0, 5.0
+    segment = round(SEGMENT_PERIODS * rate / bandwidth)
+    effort = np.random.default_rng(6).normal(0, 0.1, 4 * segment)
+
+    def first_octaves(own):
+        frequency, density = welch(own, rate, "hann", segment, detrend="constant")
+        edges = bandwidth * 2.0 ** np.arange(1, 5)
+        return [
+            density[(frequency >= low) & (frequency < high)].mean()
+            for low, high in itertools.pairwise(edges)
+        ]
+
+    whole = noise_of(effort[:-1], rate, bandwidth).density[:3]
+    np.testing.assert_allclose(whole, first_octaves(effort[:-1]), rtol=1e-9)
+    halves = np.mean([first_octaves(half) for half in np.split(effort, 2)], axis=0)
+    np.testing.assert_allclose(noise_of(effort, rate, bandwidth).density[:3], halves, rtol=1e-9)
 
 
 def test_a_transient_is_no_noise_of_the_whole_recording():

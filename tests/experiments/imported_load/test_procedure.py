@@ -20,6 +20,7 @@ from rigtool.recipe.mapping import parse_mapping
 from rigtool.runfile import open_run
 from rigtool.runfile.importers import import_files
 from tests.experiments.imported_load.loaded_drive import record
+from tests.unchanged import require_unchanged
 
 ROOT = Path(__file__).parents[3]
 DATA = ROOT.parent / "shared" / "data" / "mis-tool" / "Tool_4_Maryland_L_4"
@@ -83,6 +84,12 @@ def measured(learned, tmp_path_factory):
     found = rigtool("measure-force", *runs, "--tables", learned, "-o", output, "--json", "-q")
     assert found.exit_code == 0, found.stderr
     return output, json.loads(found.stdout)
+
+
+def test_no_other_number_has_changed(learned, measured):
+    with open_run(str(learned)) as model, open_run(str(measured[0])) as read:
+        require_unchanged("imported-load-model", model)
+        require_unchanged("imported-load", read)
 
 
 def test_loads_that_were_not_learned_are_measured(measured):

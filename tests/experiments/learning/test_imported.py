@@ -20,6 +20,7 @@ from rigtool.recipe.mapping import load_mapping, parse_mapping
 from rigtool.runfile import RunWriter, open_run
 from rigtool.runfile.importers import import_files
 from tests.experiments.imported_runs import ORDERS, SLOW, crossed, slow_turn, take
+from tests.unchanged import require_unchanged
 
 ROOT = Path(__file__).parents[3]
 COGGING = ROOT / ".." / "shared" / "data" / "odrive-cogging" / "analysis" / "cogging_torque"
@@ -64,10 +65,20 @@ def rig(tmp_path_factory):
     return folder, paths, outcome
 
 
+@pytest.mark.parametrize("option", ["friction", "plant"])
+def test_options_of_the_bench_are_refused(option):
+    with pytest.raises(UsageError, match=f"--{option}: is of the bench's own rig"):
+        ILC_LEARN.analyse_imported([], **{option: object()})
+
+
 @pytest.mark.parametrize("count", [1, 7, 20, 21, 40])
 def test_noise_floors_of_few_orders_are_steadied_among_themselves(count):
     steadied = _steadied(np.full(count, 2.0))
     np.testing.assert_allclose(steadied, np.full(count, 2.0), rtol=1e-12, atol=0)
+
+
+def test_no_other_number_has_changed(rig):
+    require_unchanged("imported-map", rig[2])
 
 
 def test_the_map_is_what_repeats(rig):
@@ -107,6 +118,7 @@ def test_a_held_out_run_fits_and_little_is_left(rig):
     assert "1 turn of 1 run at" in outcome.notes[0]
     both = check([paths["off_2"], paths["off_3"]], folder / "map.h5", folder / "check.h5")
     assert both.results["mean_current_change"].u is not None
+    require_unchanged("imported-map-check", both)
 
 
 def test_a_slipped_index_is_reported(rig):
@@ -114,6 +126,7 @@ def test_a_slipped_index_is_reported(rig):
     outcome = check([paths["off_slipped"]], folder / "map.h5", folder / "check.h5")
     assert not ilc_check.fits(outcome)
     assert "the same map, shifted by" in outcome.notes[0]
+    require_unchanged("imported-map-slipped", outcome)
     # ORDERS hold 7, 14 and 28: a seventh of a turn looks like none, and half a turn turns the 7
     # alone around.
     shift = outcome.results["table_shift"]

@@ -20,6 +20,7 @@ from rigtool.recipe.commands import IlcLearn
 from rigtool.runfile import Column, Table, open_run
 from tests.experiments.virtual_runs import QUIET, RECIPE, run, write_kt, write_results
 from tests.thorough import first_of
+from tests.unchanged import require_unchanged
 
 PULLEY = "rig.attachment=pulley"
 SHORT = (
@@ -63,6 +64,11 @@ def compensated(folder, kt, friction):
     """Learned on a rig of friction only, which is fed forward: nothing is left to learn."""
     path = folder / "compensated.h5"
     return path, run(ILC_LEARN, RECIPE, path, *SHORT, *QUIET, kt=kt, friction=friction)
+
+
+def test_no_other_number_has_changed(learned, compensated):
+    require_unchanged("C", learned[1])
+    require_unchanged("C-compensated", compensated[1])
 
 
 def test_little_remains_of_the_disturbance(learned):
@@ -266,7 +272,7 @@ def test_tables_of_one_direction_are_refused(learned):
             name: Column(column.values if name == "position" else column.values[2:], column.unit)
             for name, column in whole.columns.items()
         }
-        half = {"lookup": Table(whole.axes, columns, whole.signal)}
+        half = {"lookup": Table(whole.axes, columns, whole.signal, "")}
         stand_in = SimpleNamespace(
             path=tables.path,
             recipe=tables.recipe,
@@ -289,7 +295,7 @@ def test_a_broken_table_is_refused(learned):
     with open_run(learned[0]) as tables:
         whole = tables.table("lookup")
         columns = {**whole.columns, "speed": Column(whole["speed"][::-1], "rad/s")}
-        broken = {"lookup": Table(whole.axes, columns, whole.signal)}
+        broken = {"lookup": Table(whole.axes, columns, whole.signal, "")}
         stand_in = SimpleNamespace(
             path=tables.path,
             results=tables.results,

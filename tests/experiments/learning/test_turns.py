@@ -20,6 +20,7 @@ from rigtool.experiments.learning.turns import (
     torque_row,
     turn_angles,
 )
+from rigtool.numerics.moves import Moves
 
 RATE = 2000.0
 
@@ -68,6 +69,19 @@ def test_turns_lie_over_each_other_by_angle(speed, backwards, start, turns, posi
     bound = 1e-9 + (9 * step) ** 2 / 8 * 3e-4 + (2 * step) ** 2 / 8 * 1e-3
     expected = wave(turn_angles(positions))
     np.testing.assert_allclose(found, np.tile(expected, (turns, 1)), rtol=0, atol=2 * bound)
+
+
+@pytest.mark.parametrize("positions", [20, 31, 32, 33, 90])
+@pytest.mark.parametrize("direction", [1, -1])
+def test_between_samples_of_a_turn_angles_have_its_orders(positions, direction):
+    """More angles than samples, or fewer; as many rows as there are turns."""
+    step = TURN / 32
+    setpoint = direction * step * np.arange(32)
+    turns = Moves(1.0, setpoint, np.stack([wave(setpoint), 2 * wave(setpoint)]))
+    expected = wave(turn_angles(positions))
+    found = by_angle(turns, turns.torque, positions)
+    np.testing.assert_allclose(found, [expected, 2 * expected], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(by_angle(turns, turns.torque[0], positions), found[0], atol=1e-15)
 
 
 def test_recordings_without_whole_turns_are_refused():

@@ -1,5 +1,7 @@
 """Torque by the shaft's angle is taken off the input, and nothing else is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -67,6 +69,21 @@ def test_what_the_angle_adds_is_taken_off(turns, beside):
         left = np.abs(low(after.input - plain))
         assert np.sqrt(np.mean(left**2)) < 0.01 * np.sqrt(np.mean(added**2))
         assert after.output is own.output
+
+
+@pytest.mark.parametrize("turned", [1.0, -37.0])
+def test_it_does_not_matter_how_far_the_shaft_has_turned_before(turned):
+    own = [experiment(n, seed, by_angle)[1] for seed, n in enumerate((5, -9))]
+    moved = [replace(one, angle=one.angle + 2 * np.pi * turned) for one in own]
+    first, then = (without_angle_torque(each, LINES, FIT) for each in (own, moved))
+    for one, before, after in zip(own, first, then, strict=True):
+        assert before is not one
+        np.testing.assert_allclose(after.input, before.input, rtol=0, atol=1e-12)
+
+
+def test_speeds_that_are_alike_do_not_separate_it():
+    own = [experiment(n, seed, by_angle)[1] for seed, n in enumerate((8, -8))]
+    assert list(map(id, without_angle_torque(own, LINES, FIT))) == list(map(id, own))
 
 
 def test_an_input_without_it_stays_as_it_is():

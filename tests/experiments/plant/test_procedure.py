@@ -24,6 +24,7 @@ from rigtool.runfile import RunWriter, open_run
 from rigtool.runfile.recording import Recording
 from tests.experiments.virtual_runs import RECIPE, run, write_results
 from tests.thorough import first_of
+from tests.unchanged import require_unchanged
 
 PULLEY = "rig.attachment=pulley"
 SHORT = (
@@ -65,6 +66,11 @@ def pulley(folder, kt):
 def instrument(folder, kt):
     path = folder / "instrument.h5"
     return path, run(IDENTIFY_PLANT, RECIPE, path, *STROKES, kt=kt)
+
+
+def test_no_other_number_has_changed(pulley, instrument):
+    require_unchanged("plant", pulley[1])
+    require_unchanged("plant-instrument", instrument[1])
 
 
 def motor():

@@ -28,7 +28,8 @@ from rigtool.experiments.running.session import run_command
 from rigtool.recipe.mapping import load_mapping, parse_mapping
 from rigtool.runfile import open_run
 from rigtool.runfile.importers import import_files
-from tests.experiments.imported_runs import SLOW, crossed, slow_turn, take
+from tests.experiments.imported_runs import COUNTS, SLOW, crossed, slow_turn, take
+from tests.unchanged import require_unchanged
 
 ROOT = Path(__file__).parents[3]
 COGGING = ROOT / ".." / "shared" / "data" / "odrive-cogging" / "analysis" / "cogging_torque"
@@ -77,10 +78,23 @@ def test_orders_and_by_how_much_each_was_reduced(turns):
         assert results[f"order_{order}_current_reduction"].value == pytest.approx(0, abs=0.05)
     assert any("compensation 1 against 0" in note for note in outcome.notes)
     assert any("irregular time axis" in note for note in outcome.notes)
+    require_unchanged("imported-turns", outcome)
     with open_run(folder / "ripple.h5") as run:
         assert (run.command, run.rig) == ("fft-ripple", "slow")
         assert len(run.provenance["inputs"]) == 6
         assert run.table("reduction").shape == (1, 440)
+
+
+def test_one_irregular_time_axis_is_noted(tmp_path):
+    irregular, regular = slow_turn(1, 0), slow_turn(2, 0)
+    time = np.linspace(*regular["t"][[0, -1]], len(regular["t"]))
+    turned = np.unwrap(regular["q"], period=COUNTS)
+    regular["q"] = np.interp(time, regular["t"], turned) % COUNTS
+    regular["i"], regular["t"] = np.interp(time, regular["t"], regular["i"]), time
+    paths = take(tmp_path, SLOW, {"off_0": irregular, "off_1": regular})
+    for sources, noted in ((paths, True), (paths[1:], False)):
+        notes = analyse(sources, tmp_path / "r.h5").notes
+        assert any("irregular time axis" in note for note in notes) == noted
 
 
 def test_one_condition_alone_has_orders_and_nothing_to_compare(turns):
@@ -184,6 +198,7 @@ def test_a_turned_map_is_reported(tmp_path):
     assert "shifted by half a turn" in verdicts["c"]
     assert "another map" in verdicts["d"]
     assert sum("the same map (" in note for note in verdicts.values()) == 1
+    require_unchanged("imported-maps", outcome)
 
 
 @needs_data
@@ -248,6 +263,7 @@ def test_torque_alone_at_a_stated_speed_and_orders_that_are_not_told_apart(tmp_p
     table = outcome.tables["imported_spectrum"]
     assert table["alias"][0, 23] in (36, 84)
     assert np.isnan(table["deviation"]).all()
+    require_unchanged("imported-alias", outcome)
 
 
 CROSSED = """mapping = 1

@@ -16,6 +16,7 @@ from rigtool.experiments.ripple.orders import (
     Spectrum,
     cell_centres,
     cells_for,
+    coefficients,
     compare,
     match_orders,
     neighbours_floor,
@@ -48,6 +49,13 @@ def lay_over(time, turns, torque, revolutions, positions):
     collected = Revolutions(positions, forward=bool(turns[-1] > turns[0]))
     collected.add(time, turns, torque)
     return collected.waveforms(revolutions)
+
+
+def test_orders_are_there_up_to_the_highest_that_samples_resolve():
+    sampling = Sampling(0.05)
+    assert sampling.highest_order == 8.0
+    found = coefficients(np.random.default_rng(2).standard_normal((3, 64)), 20, sampling)
+    np.testing.assert_array_equal(found != 0, np.tile(np.arange(1, 21) <= 8, (3, 1)))
 
 
 @settings(max_examples=60, deadline=None)

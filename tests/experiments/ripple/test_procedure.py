@@ -21,6 +21,7 @@ from tests.experiments.virtual_runs import (
     write_kt,
     write_results,
 )
+from tests.unchanged import require_unchanged
 
 SHORT = (
     "fft_ripple.speeds=[3, 30]",
@@ -44,6 +45,10 @@ def kt(folder):
 def measured(folder, kt):
     path = folder / "ripple.h5"
     return path, run(FFT_RIPPLE, RECIPE, path, *SHORT, kt=kt)
+
+
+def test_no_other_number_has_changed(measured):
+    require_unchanged("ripple", measured[1])
 
 
 def test_the_second_order_is_strongest_slowly_and_the_first_fast(measured):
@@ -187,12 +192,31 @@ def test_too_short_a_recording_is_refused(measured, kt):
             fft_ripple.analyse([stored], recipe, kt=constant)
 
 
-def test_a_saturated_current_is_named_with_its_cause(measured, kt):
-    with open_run(measured[0]) as stored, open_run(kt) as constant:
-        largest = np.median(np.abs(stored.recording("torque_001").read("current_setpoint")))
-        recipe = override_recipe(stored.recipe, [f"rig.current_limit={largest}"])
-        with pytest.raises(InsufficientDataError, match=r"torque_001: .* raise rig.current_limit"):
-            fft_ripple.analyse([stored], recipe, kt=constant)
+@pytest.mark.parametrize(
+    ("name", "times", "cause"),
+    [
+        ("torque_001", 3.0, "lower fft_ripple.torques, or raise rig.current_limit"),
+        ("speed_001", 3.0, "turn more slowly, or raise rig.current_limit"),
+        ("speed_001", 5.0, "the loop shakes"),
+    ],
+)
+def test_a_saturated_current_is_named_with_its_cause(measured, monkeypatch, name, times, cause):
+    """A current that once reaches so many times its mean, which is that of turning."""
+    with open_run(measured[0]) as stored:
+        recording = stored.recording(name)
+        steady = fft_ripple._steady(recording)
+        mean = recording.read("current_setpoint", steady.start, steady.stop).mean()
+        recipe = override_recipe(stored.recipe, [f"rig.current_limit={times * mean}"])
+        whole = type(recording).blocks
+
+        def blocks(*asked, **samples):
+            for time, encoder, current in whole(*asked, **samples):
+                current[0] = times * mean
+                yield time, encoder, current
+
+        monkeypatch.setattr(type(recording), "blocks", blocks)
+        with pytest.raises(InsufficientDataError, match=rf"{name}: .*{cause}"):
+            fft_ripple._collected(recording, steady, recipe, None)
 
 
 def test_heat_that_no_motor_survives_is_refused(measured, kt, monkeypatch):

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from rigtool.runfile import open_run
 from tests.cli.called import call
+from tests.unchanged import require_unchanged
 
 RECIPE = Path(__file__).parents[3] / "recipes" / "briaire-2006.toml"
 
@@ -31,6 +33,8 @@ def test_the_rigs_stiffness_is_within_its_uncertainty(tmp_path, capsys, stiffnes
         )
     again = found(capsys, path, "-o", tmp_path / "again.h5")
     assert again == results
+    with open_run(path) as run:
+        require_unchanged(f"suspension-{stiffness:g}", run)
 
 
 def test_a_rig_whose_springs_are_not_described(tmp_path, capsys):

@@ -52,7 +52,7 @@ def draw(kind, seed):
     [("staircase", True, 0.015), ("one way", True, 0.06), ("ramp", False, 0.04)],
 )
 def test_intervals_of_drawn_motors_hold(kind, plateaus, largest):
-    errors, held, draws = [], 0, 12
+    errors, held, referred, changed, draws = [], 0, 0, 0, 12
     for seed in range(draws):
         (constant, change), recorded = draw(kind, seed)
         points = find_points(recorded)
@@ -61,9 +61,14 @@ def test_intervals_of_drawn_motors_hold(kind, plateaus, largest):
         true = constant * (1 + change * (fit.temperature - 20))
         u = np.hypot(fit.constant_u, fit.constant * fit.curvature_u)
         errors.append(fit.constant / true - 1)
+        at_reference, at_u = fit.reference
+        bound = student.ppf(0.975, fit.dof) * np.hypot(at_u, at_reference * fit.curvature_u)
+        referred += abs(at_reference - constant) < bound
+        coefficient, coefficient_u = fit.coefficient
+        changed += abs(coefficient - change) < student.ppf(0.975, fit.dof) * coefficient_u
         held += abs(fit.constant - true) < student.ppf(0.975, fit.dof) * u
         assert fit.one_way == (kind == "one way")
-    assert held >= draws - 2
+    assert min(held, referred, changed) >= draws - 2
     assert np.max(np.abs(errors)) < largest
 
 

@@ -20,6 +20,7 @@ from rigtool.recipe.commands import CalibrateKt
 from rigtool.runfile import open_run
 from tests.experiments.imported_runs import crossed, take
 from tests.experiments.torque_constant.test_current_levels import draw
+from tests.unchanged import require_unchanged
 
 TEXT = """mapping = 1
 [rig]
@@ -54,6 +55,7 @@ def test_a_force_on_an_arm_gives_a_constant_for_other_commands(tmp_path):
     assert outcome.results["torque_constant_mean"].u > 0.002 * constant
     assert outcome.results["hysteresis_torque"].value > 0
     assert outcome.tables["calibration_points"].shape == (15,)
+    require_unchanged("imported-kt-arm", outcome)
     with open_run(tmp_path / "kt.h5") as run:
         mean = torque_per_ampere(run)
     assert mean.value == outcome.results["torque_constant_mean"].value
@@ -175,6 +177,7 @@ def test_repeated_staircases_of_a_turning_shaft_are_not_those_of_a_bench(tmp_pat
     outcome = calibrate(paths, tmp_path / "kt.h5")
     assert "the shaft turns" in " ".join(outcome.notes)
     assert "calibration_points" in outcome.tables
+    require_unchanged("imported-kt-turning", outcome)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -194,6 +197,7 @@ def test_staircases_without_temperature_state_none(tmp_path, sign):
     assert abs(found.value - 0.05) < 2.5 * found.u
     assert found.u < 0.02 * found.value
     assert set(outcome.tables) == {"hysteresis"}
+    require_unchanged(f"imported-kt-{sign}", outcome)
     notes = " ".join(outcome.notes)
     assert "temperature was not recorded" in notes
     assert "by their set point: the current set point is 0 A throughout" in notes

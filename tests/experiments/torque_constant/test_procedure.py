@@ -21,6 +21,7 @@ from rigtool.recipe.commands import CalibrateKt
 from rigtool.runfile import open_run
 from tests.experiments.virtual_runs import RECIPE, run
 from tests.thorough import first_of
+from tests.unchanged import require_unchanged
 
 SHORT = ("calibrate_kt.temperatures_degc=[20, 35, 50]", "calibrate_kt.record_every=160")
 
@@ -29,6 +30,10 @@ SHORT = ("calibrate_kt.temperatures_degc=[20, 35, 50]", "calibrate_kt.record_eve
 def measured(tmp_path_factory):
     path = tmp_path_factory.mktemp("kt") / "kt.h5"
     return path, run(CALIBRATE_KT, RECIPE, path, *SHORT, seed=1)
+
+
+def test_no_other_number_has_changed(measured):
+    require_unchanged("kt", measured[1])
 
 
 @pytest.mark.parametrize("seed", first_of([1, 2, 3]))

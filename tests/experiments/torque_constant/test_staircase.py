@@ -120,6 +120,11 @@ def test_staircases_are_rows_and_shorter_ones_end_without_weight():
     kept = {name: values[rising] for name, values in vars(one).items()}
     with pytest.raises(InsufficientDataError, match="staircase 0 has 1 steps in one of its"):
         arrange(type(one)(**kept))
+    # plateaus at the same current are steps of neither direction
+    level = one.current_setpoint.copy()
+    level[:41] = np.concatenate([np.arange(10.0), np.full(29, 9.0), [8.0, 7.0]])
+    with pytest.raises(InsufficientDataError, match="staircase 0 has 2 steps in one of its"):
+        arrange(replace(one, current_setpoint=level))
 
 
 @pytest.mark.parametrize("bend", [0.0, 4e-4])

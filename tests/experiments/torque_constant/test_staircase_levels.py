@@ -1,5 +1,6 @@
 """Lines, levels and branches of staircases beside polyfit and scipy; what is refused of them."""
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -147,17 +148,18 @@ def test_a_gauge_of_few_steps_is_refused(span, step, message):
     ("part", "noise", "refused"),
     [
         (1.0, 0.0, False),
-        (0.27, 0.0, False),
-        (0.23, 0.0, True),
-        (0.23, 0.09, True),
-        (0, 0.11, False),
+        (0.252, 0.0, False),
+        (0.248, 0.0, True),
+        (0.248, 0.098, True),
+        (0, 0.102, False),
     ],
 )
 def test_readings_that_follow_the_steps_of_a_gauge_are_refused(part, noise, refused):
     """Rounding leaves what lies evenly within a step."""
     step = 1e-3
     stairs = staircases(resolution=step, noise=noise * step)
-    left = part * step * np.random.default_rng(4).uniform(-0.5, 0.5, stairs.torque.shape)
+    left = np.random.default_rng(4).uniform(-0.5, 0.5, stairs.torque.shape)
+    left *= part * step / math.sqrt(12 * np.mean(left[stairs.weight > 0] ** 2))
     left[-1, -1] = 1.0  # without weight
     if refused:
         with pytest.raises(InsufficientDataError, match="steps off a line, where rounding"):

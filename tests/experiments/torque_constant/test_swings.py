@@ -43,6 +43,14 @@ def test_the_path_leads_from_plateau_to_plateau_by_its_turns():
     assert_allclose(swings[0, 0, 1] + swings[1, 0, 1], course[course.argmax() :].min(), rtol=1e-9)
 
 
+def test_paths_of_several_lags_are_those_of_each():
+    courses, lags = swinging(0.8), [1e-6, 0.02, 0.1]
+    found = paths(courses, courses.torque, courses.course, lags)
+    for path, lag in zip(found, lags, strict=True):
+        assert_allclose(path, paths(courses, courses.torque, courses.course, [lag])[0])
+    assert np.abs(np.diff(found, axis=0)).max(axis=(1, 2, 3)).min() > 0.01
+
+
 def test_an_arm_that_turns_once_on_a_plateau_has_swung_half_a_period_since_the_step():
     courses = swinging(0.8, swings=0.9)
     damping = 12 / np.hypot(12, 1.8 * np.pi)

@@ -29,7 +29,7 @@ def tables(*, judged):
         "high": Column(torque + 2e-3, "N m"),
     }
     if not judged:
-        return {"force": Table(("row",), columns, "torque")}
+        return {"force": Table(("row",), columns, "torque", "")}
     columns["reference"] = Column(REFERENCE, "N m")
     rmse = np.full((3, 2), 0.4e-3)
     rmse[1] = np.nan
@@ -40,8 +40,8 @@ def tables(*, judged):
         "coverage_95": Column(np.where(np.isnan(rmse), np.nan, 0.96), "1"),
     }
     return {
-        "force": Table(("row",), columns, "torque"),
-        "force_accuracy": Table(("band", "state"), accuracy, "rmse"),
+        "force": Table(("row",), columns, "torque", ""),
+        "force_accuracy": Table(("band", "state"), accuracy, "rmse", ""),
     }
 
 

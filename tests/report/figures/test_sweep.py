@@ -35,6 +35,7 @@ def tables_of_a():
                 "shift_u": column([0.01] * 4, "rad"),
             },
             "amplitude",
+            "",
         ),
         "iterations": Table(
             ("iteration",),
@@ -45,6 +46,7 @@ def tables_of_a():
                 "non_repeatable_rms": column(1e-4 + 0 * ITERATIONS, "N m"),
             },
             "rms",
+            "",
         ),
         "sweep": Table(
             ("time",),
@@ -54,6 +56,7 @@ def tables_of_a():
                 **{name: column(values, "N m") for name, values in swept.items()},
             },
             "on",
+            "",
         ),
     }
 

@@ -292,7 +292,7 @@ def _row(learned: LearnedTable, speed: float) -> int:
 def _orders_of(learned: LearnedTable, speed: float) -> Orders:
     """Return the orders 1..m of the map at a speed, amplitude*exp(i phase)."""
     table = learned.table
-    if table.period is None or not math.isclose(table.period, 2 * math.pi, rel_tol=1e-9):
+    if table.period is None or not math.isclose(table.period, 2 * math.pi):
         raise UsageError("the table is not of a whole turn: imported runs are checked by that only")
     count = table.position.size
     orders = min(HIGHEST_ORDER, (count - 1) // 2)

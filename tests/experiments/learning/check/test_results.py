@@ -82,6 +82,14 @@ def learned():
             {"shape": 0.1e-3, "offset": HealthChange(0.4e-3, 2e-5), "friction": None},
             "friction, or an offset, is off by +0.4 +- 0.02 mN m",
         ),
+        (
+            {"shifted": 0.1e-3, "friction": HealthChange(-0.4e-3, 2e-5)},
+            "; a shift alone is not enough: learn again",
+        ),
+        (
+            {"shifted": 0.1e-3, "offset": HealthChange(0.4e-3, 2e-5)},
+            "; a shift alone is not enough: learn again",
+        ),
         ({"shape": 0.1e-3}, "several parts changed slightly"),
     ],
 )

@@ -19,6 +19,7 @@ from rigtool.recipe import load_recipe
 from rigtool.runfile import open_run
 from tests.experiments.learned_loads import KT, RIG, D, learned_loads
 from tests.experiments.virtual_runs import RECIPE, run
+from tests.unchanged import require_unchanged
 
 FORCE = (
     "measure_force.forces=[0.25, 2.5]",
@@ -52,6 +53,11 @@ def rig(tmp_path_factory):
 def thesis(rig):
     """Measure loads at 1 rev/s by the thesis's way; the run is stored as `thesis.h5`."""
     return rig(at(1), output="thesis.h5")
+
+
+def test_no_other_number_has_changed(rig, thesis):
+    require_unchanged("D", rig.learned)
+    require_unchanged("D-thesis", thesis)
 
 
 def test_the_rig_gives_its_tendon_and_load_friction_back(rig):
@@ -120,10 +126,12 @@ def test_full_reads_loads_within_5_percent_where_none_does_not(rig, speed):
     assert np.abs(outcome.tables["loads_uncorrected"]["error_percent"][1:]).max() > 10
     assert (np.abs(loads["error_torque"][1:]) < 4 * loads["mean_torque_u"][1:] + 0.02e-3).all()
     assert outcome.results["loads_outside"].value == 0
+    require_unchanged(f"full-{speed}", outcome)
 
 
 def test_a_motor_15_k_warmer_reads_the_same(rig):
     outcome = rig(FULL, at(1), "virtual.thermal.ambient_degc=42")
+    require_unchanged("full-warm", outcome)
     assert np.abs(outcome.tables["loads"]["error_percent"][2]) < 0.7
     notes = outcome.notes
     assert any(re.search(r"its constant is corrected by -1\.[6-8] %", note) for note in notes), (
@@ -140,6 +148,7 @@ def test_a_stored_run_is_corrected_afterwards(rig, thesis):
     full = rig(FULL, source=stored, output="again.h5")
     assert np.abs(full.tables["loads"]["error_percent"][2]) < 2
     corrected = rig(LOAD, source=stored, output="again.h5")
+    require_unchanged("load-corrected", corrected)
     load = corrected.tables
     uncorrected = thesis.tables["loads"]["error_percent"]
     np.testing.assert_allclose(load["loads_uncorrected"]["error_percent"], uncorrected, rtol=1e-9)
@@ -174,6 +183,7 @@ def test_a_load_beyond_the_learned_ones_has_no_value(rig):
     assert np.isnan(outcome.tables["loads"]["mean_torque"][2])
     assert np.isfinite(outcome.tables["loads"]["mean_torque"][1])
     assert outcome.results["loads_outside"].value == 1
+    require_unchanged("full-beyond", outcome)
     assert any("learn with larger loads" in note for note in outcome.notes)
     with pytest.raises(InsufficientDataError, match="no load can be read"):
         rig(FULL, at(1), "measure_force.forces=[4]")

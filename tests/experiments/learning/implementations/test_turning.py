@@ -11,6 +11,10 @@ from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.learning import procedure as ilc_learn
 from rigtool.experiments.learning.implementations import a_one_speed as one_speed
 from rigtool.experiments.learning.implementations import standard_trajectory as trajectory
+from rigtool.experiments.learning.implementations.a_one_speed import OneSpeed
+from rigtool.experiments.learning.implementations.b_all_speeds import AllSpeeds
+from rigtool.experiments.learning.implementations.bare_motor import sweep_specs
+from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.learning.procedure_design import design_filters
 from rigtool.experiments.learning.rows import Row
@@ -19,6 +23,7 @@ from rigtool.recipe import load_recipe, override_recipe
 from rigtool.runfile import open_run
 from tests.experiments.virtual_runs import QUIET, RECIPE, run, write_kt, write_results
 from tests.thorough import first_of
+from tests.unchanged import require_unchanged
 
 PULLEY = "rig.attachment=pulley"
 SHORT = (
@@ -87,7 +92,24 @@ def learned(folder, kt):
     return path, run(ILC_LEARN, RECIPE, path, *settings, using("B"), kt=kt)
 
 
+@pytest.mark.parametrize("validation", [True, False])
+@pytest.mark.parametrize("kind", [OneSpeed, AllSpeeds, LimitedAngle])
+def test_runs_with_and_without_the_table_are_recorded_to_validate_it(kind, validation):
+    recipe = load_recipe(RECIPE, (PULLEY, f"ilc_learn.validation={str(validation).lower()}"))[0]
+    recorded = {name for name, specs in kind.kinds(recipe).items() if specs}
+    sweeps = set() if kind is LimitedAngle else set(sweep_specs(recipe))
+    assert ({"off", "on"} | sweeps) & recorded == (
+        ({"off", "on"} | sweeps) if validation else set()
+    )
+
+
 # -- the proof
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_no_other_number_has_changed(request, proof, number):
+    if request.node.callspec.params["proof"] == SEEDS[0]:
+        require_unchanged("AB"[number], proof[number])
 
 
 def test_little_remains_at_any_speed(proof):
@@ -316,6 +338,10 @@ def standard(folder, kt):
     path = folder / "standard.h5"
     settings = (using("standard"), "ilc_learn.iterations=3", "ilc_learn.trajectory.moves=5")
     return path, run(ILC_LEARN, RECIPE, path, *settings, PULLEY, kt=kt)
+
+
+def test_no_other_number_of_the_move_has_changed(standard):
+    require_unchanged("standard", standard[1])
 
 
 def test_the_error_of_a_repeated_move_is_learned_away(standard):

@@ -1,0 +1,76 @@
+"""Outcomes of commands held against what they were: each result, each column, each note.
+
+Tests of single numbers see what somebody thought of. Where a test has an outcome anyway, all other
+numbers of it are compared as well; `make references` stores them anew.
+"""
+
+import json
+import math
+import os
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.fixtures.make import digests
+
+STORED = Path(__file__).parent / "fixtures" / "outcomes.json"
+STORING = "STORE_OUTCOMES" in os.environ
+ROUNDING = 1e-4
+"""Part of the rms of a column by which it may differ on another processor."""
+ZERO = 1e-15
+"""What rounding leaves of a column that is zero, in any unit."""
+
+
+def require_unchanged(name, outcome):
+    """Compare results, tables and notes of an outcome, or of a stored run, with the stored ones."""
+    found = {
+        "results": {
+            key: {
+                "value": one.value,
+                "u": one.u,
+                "dof": None if one.dof == math.inf else one.dof,
+                "unit": one.unit,
+            }
+            for key, one in outcome.results.items()
+        },
+        "tables": digests(name, outcome.tables),
+        "notes": [re.sub(r"(?<!\S)/\S*/", "", note) for note in outcome.notes],
+    }
+    known = json.loads(STORED.read_text()) if STORED.exists() else {}
+    if STORING:
+        lines = (
+            f" {json.dumps(key)}: {json.dumps(own)}" for key, own in (known | {name: found}).items()
+        )
+        STORED.write_text("{\n" + ",\n".join(sorted(lines)) + "\n}\n")
+        return
+    require_results(found["results"], known[name]["results"])
+    require_columns(found["tables"], known[name]["tables"])
+    assert found["notes"] == known[name]["notes"]
+
+
+def require_results(found, expected):
+    """The same signals through the same mathematics: what may differ is rounding in another
+    processor's vector units, far below the uncertainty of the result."""
+    assert set(found) == set(expected)
+    for result, reference in expected.items():
+        own = found[result]
+        assert own["unit"] == reference["unit"], result
+        dofs = [math.inf if one["dof"] is None else one["dof"] for one in (own, reference)]
+        assert math.isclose(*dofs, rel_tol=1e-3), f"dof of {result}: {dofs}"
+        for part in ("value", "u"):
+            if reference[part] is None:
+                assert own[part] is None, result
+                continue
+            slack = 0.01 * (reference["u"] or 0.0)
+            known = pytest.approx(reference[part], rel=1e-5, abs=slack, nan_ok=True)
+            assert own[part] == known, f"{result}.{part}"
+
+
+def require_columns(found, expected):
+    """Compare units, types and digests of columns."""
+    assert set(found) == set(expected)
+    for column, (unit, kind, count, *reference) in expected.items():
+        assert found[column][:3] == [unit, kind, count], column
+        slack = ROUNDING * math.hypot(*reference[:2]) + ZERO
+        assert found[column][3:] == pytest.approx(reference, rel=0, abs=slack), column
