@@ -260,8 +260,16 @@ def add_radial_friction(
             )
     else:
         asymmetry_u = 0.0
-    value = float(share @ (sign * (after.torque - before.torque)))
+    grown = sign * (after.torque - before.torque)
+    value = float(share @ grown)
+    unlike = grown - np.bincount(index, grown)[index] / count[index]
+    free = len(grown) - len(directions)
+    # Friction that wanders more slowly than a hold makes holds differ by more than their scatter.
+    own = float(np.mean(before.u**2 + after.u**2))
+    wander = math.sqrt(max(float(unlike @ unlike) / max(free, 1) - own, 0.0))
+    wander *= float(np.linalg.norm(share))
     lines = [
+        error_line("friction from hold to hold", wander, "N m", free or None),
         error_line("hung weights", value * weights_u, "N m"),
         error_line("asymmetry", value * asymmetry_u, "N m"),
     ]

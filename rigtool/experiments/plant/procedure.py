@@ -12,12 +12,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rigtool.errors import InsufficientDataError, RunFileError
+from rigtool.errors import InsufficientDataError, RecipeError, RunFileError
 from rigtool.experiments.controller_torque import naming, require_unlimited, usual_current
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.plant.angle_torque import without_angle_torque
 from rigtool.experiments.plant.fit import fit_plant
-from rigtool.experiments.plant.frequency_response import Experiment, frequency_response
+from rigtool.experiments.plant.frequency_response import (
+    MIN_EXPERIMENTS,
+    Experiment,
+    frequency_response,
+)
 from rigtool.experiments.plant.multisine import LineNumbers, periodic
 from rigtool.experiments.plant.procedure_excitation import (
     Excitation,
@@ -75,8 +79,18 @@ def _name(excitation: Excitation) -> str:
 
 
 def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run | None = None) -> None:
-    """Excite the shaft at each speed, in both directions, with each set of phases."""
-    for excitation in excitations(recipe):
+    """Excite the shaft at each speed, in both directions, with each set of phases.
+
+    Raises `RecipeError` where these are too few for an uncertainty.
+    """
+    excited = excitations(recipe)
+    if 2 * len(excited) < MIN_EXPERIMENTS:
+        raise RecipeError(
+            f"one speed in both directions with one set of phases makes {2 * len(excited)} "
+            f"experiments, {MIN_EXPERIMENTS} are needed for an uncertainty: raise "
+            "identify_plant.realisations, or add a speed"
+        )
+    for excitation in excited:
         for task in tasks(recipe, excitation):
             record(rig, task, recorder, _name(excitation))
 

@@ -108,12 +108,14 @@ class Ripple:
     """Ripple of one running condition: `waveforms` (revolutions, positions), offset removed.
 
     `sampling` is that of the samples in the waveforms; `elapsed` (positions + 1,) when the rotor
-    passes the edges of the cells, from 0 to 1 of the time of a turn, None at constant speed.
+    passes the edges of the cells, from 0 to 1 of the time of a turn, None at constant speed;
+    `steps` (m,) the amplitudes, rad, that the encoder's steps show at orders 1..m of its angle.
     """
 
     waveforms: Array
     sampling: Sampling = NO_ATTENUATION
     elapsed: Array | None = None
+    steps: Array | None = None
 
     @property
     def angle(self) -> Array:
@@ -157,11 +159,9 @@ class Ripple:
         return Rms(repeatable, repeatable_u, scatter, scatter_u, others)
 
 
-def remove_offset(
-    waveforms: Array, sampling: Sampling = NO_ATTENUATION, elapsed: Array | None = None
-) -> Ripple:
+def remove_offset(waveforms: Array, sampling: Sampling = NO_ATTENUATION) -> Ripple:
     """Subtract the mean of waveforms (revolutions, positions): friction and load, not ripple."""
-    return Ripple(waveforms - waveforms.mean(), sampling, elapsed)
+    return Ripple(waveforms - waveforms.mean(), sampling)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 
 import numpy as np
@@ -24,6 +24,7 @@ from rigtool.experiments.controller_torque import (
 )
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
+from rigtool.experiments.ripple.encoder_steps import step_orders
 from rigtool.experiments.ripple.imported import analyse_imported
 from rigtool.experiments.ripple.orders import (
     HIGHEST_ORDER,
@@ -40,6 +41,7 @@ from rigtool.experiments.ripple.results import (
     loop_note,
     revolutions_table,
     ripple_results,
+    steps_note,
     varying_note,
 )
 from rigtool.experiments.ripple.revolutions import Revolutions
@@ -165,7 +167,11 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     ]
     constants, per_amperes, heat_note = _constants(kt, recorded, found)
     ripples = [
-        remove_offset(own.waveforms * per_ampere, own.sampling, own.elapsed)
+        replace(
+            remove_offset(own.waveforms * per_ampere, own.sampling),
+            elapsed=own.elapsed,
+            steps=own.steps,
+        )
         for own, per_ampere in zip(found, per_amperes, strict=True)
     ]
     by_speed, by_torque = ripples[: len(speeds)], ripples[len(speeds) :][: len(torques)]
@@ -191,6 +197,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
         loop_note(recipe, speeds[-1].condition("speed") / (2 * math.pi)),
         *_shaking_note(recorded, recipe),
         *varying_note(recorded, ripples),
+        *steps_note(recorded, recipe),
         *_resolution_notes(speeds, by_speed, "speed", "rad/s"),
         *_resolution_notes(torques, by_torque, "torque", "N m"),
         *unsampled_note(runs, constants[0].value),
@@ -233,6 +240,7 @@ class _Collected:
 
     waveforms: Array
     elapsed: Array
+    steps: Array
     forward: bool
     sampling: Sampling
     passed: Array
@@ -263,7 +271,14 @@ def _collected(
         sampling = Sampling(revolutions.step, settings.record_every)
         waveforms = revolutions.waveforms(settings.revolutions)
         elapsed = revolutions.elapsed(settings.revolutions)
-    return _Collected(waveforms, elapsed, last > first, sampling, *revolutions.turns())
+        steps = step_orders(
+            revolutions.passed(settings.revolutions),
+            settings.revolutions,
+            recipe.rig.encoder_counts,
+            recipe.rig.sample_time,
+            HIGHEST_ORDER,
+        )
+    return _Collected(waveforms, elapsed, steps, last > first, sampling, *revolutions.turns())
 
 
 def _constants(

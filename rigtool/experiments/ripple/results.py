@@ -33,6 +33,9 @@ VARYING_LIMIT = 0.05
 """Relative standard deviation of the speed around the turn without a note: beyond it, 36 of 449
 amplitudes of drawn rigs were off by more than 3.5 u, below 22 of 1376."""
 
+FOLLOWED_HARMONICS = 2
+"""Harmonics of the encoder's steps whose alias the loop may follow: higher ones are weaker."""
+
 STORED_REVOLUTIONS = 100
 """Number of single revolutions, from the first, in the table; the signals hold all of them."""
 
@@ -64,6 +67,39 @@ def varying_note(recordings: Sequence[Recording], ripples: Sequence[Ripple]) -> 
     ]
 
 
+def steps_note(recordings: Sequence[Recording], recipe: Recipe) -> list[str]:
+    """Return a note on the speeds at which the loop follows the encoder's steps."""
+    speeds = np.unique([recording.condition("speed") for recording in recordings])
+    followed = [v for v in speeds if _followed_steps(recipe, v / (2 * math.pi))]
+    if not followed:
+        return []
+    per_sample = recipe.rig.encoder_counts * recipe.rig.sample_time / (2 * math.pi)
+    return [
+        f"at {', '.join(f'{v:.3g}' for v in followed)} rad/s the encoder makes "
+        f"{', '.join(f'{per_sample * v:.3f}' for v in followed)} counts from one sample of the "
+        "loop to the next, so nearly a whole number or half of one that the loop follows the "
+        "difference: any order may be one of the encoder's steps, which noise_floor and u "
+        "include; change the speed by some per cent, or take an encoder with more counts"
+    ]
+
+
+def _followed_steps(recipe: Recipe, turns_per_s: float) -> float:
+    """Return the amplitude, rad, of the encoder's steps that the loop follows as an alias, or 0.
+
+    Steps, of variance step^2/12, have harmonics n of the rate of their edges, of which the n-th and
+    its multiples are a part 1/n. An alias moves the rotor, which is then no longer known better
+    than to these steps.
+    """
+    rig = recipe.rig
+    harmonic = np.arange(1, FOLLOWED_HARMONICS + 1)
+    per_sample = harmonic * rig.encoder_counts * turns_per_s * rig.sample_time
+    whole = np.round(per_sample)
+    answer = np.abs(_loop(recipe, np.abs(per_sample - whole) / rig.sample_time))
+    followed = harmonic[(whole > 0) & (answer >= LOWEST_FOLLOWED)]
+    step = 2 * math.pi / rig.encoder_counts
+    return step / math.sqrt(6) / int(followed[0]) if followed.size else 0.0
+
+
 def _loop(recipe: Recipe, frequency: Array) -> ComplexArray:
     """Return T of the recipe's loop at these frequencies, Hz: from the motor's ripple to the torque
     that the loop asks for against it."""
@@ -71,11 +107,11 @@ def _loop(recipe: Recipe, frequency: Array) -> ComplexArray:
 
 
 def _spectrum(ripple: Ripple, recipe: Recipe, turns_per_s: float) -> tuple[Spectrum, Array, Array]:
-    """Return the orders of the motor's torque, the degrees of freedom of their scatter, and the
+    """Return the orders of the motor's torque, the degrees of freedom of their noise floor, and the
     u of their amplitudes by T.
 
     T has the relative error |1 - T| times that of the inertia; what the varying speed changes has
-    that of the inertia.
+    that of the inertia. An error of the angle is one of the torque by 1/P, with P the plant.
     """
     asked = spectrum(ripple, HIGHEST_ORDER)
     # Both parts of a coefficient scatter.
@@ -87,12 +123,20 @@ def _spectrum(ripple: Ripple, recipe: Recipe, turns_per_s: float) -> tuple[Spect
     if ripple.elapsed is not None:
         followed = loop * np.maximum(1.0, LOWEST_FOLLOWED / np.abs(loop))
         found = motor_orders(resolved, followed, ripple.elapsed)
+    floor = floor / gain
+    if ripple.steps is not None:
+        plant = position_loop(**recipe.rig.loop_design).plant
+        steps = np.maximum(ripple.steps, _followed_steps(recipe, turns_per_s))
+        whole = np.hypot(floor, steps / np.abs(plant.response(asked.order * turns_per_s)))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            dof = dof * (whole / floor) ** 4  # Welch and Satterthwaite
+        floor = whole
     known = np.where(np.isfinite(asked.amplitude / gain), 1.0, np.nan)
     motor = replace(
         asked,
         amplitude=known * np.abs(found),
         phase=known * np.angle(found),
-        noise_floor=floor / gain,
+        noise_floor=floor,
     )
     by_loop = INERTIA_U * np.hypot(np.abs((1 - loop) * found), np.abs(found - alone))
     return motor, dof, by_loop
@@ -196,10 +240,10 @@ def condition_tables(
             "noise_floor": Column(
                 np.stack([s.noise_floor for s in spectra]),
                 "N m",
-                "amplitude that scatter between revolutions alone would show; of few, with the "
-                "orders around",
+                "amplitude that scatter between revolutions, of few with the orders around, and "
+                "the encoder's steps would show alone",
             ),
-            "u": Column(np.stack(u), "N m", "standard, of the amplitude: scatter, constant, T"),
+            "u": Column(np.stack(u), "N m", "standard, of the amplitude: noise floor, constant, T"),
             "dof": dof_column(np.stack(dof)),
             "loop_gain": Column(
                 np.stack([np.abs(_loop(recipe, spectra[0].order * n)) for n in turns]),

@@ -112,12 +112,17 @@ class Revolutions:
             means: Array = np.diff(integral) / np.diff(passed)
         return means
 
+    def passed(self, revolutions: int) -> Array:
+        """Return when the rotor passes the edges of the cells in the last `revolutions` whole
+        turns, (revolutions*positions + 1,), s."""
+        passed = np.concatenate(self._passed)
+        last = (passed.size - 1) // self._positions * self._positions
+        return passed[last - revolutions * self._positions : last + 1]
+
     def elapsed(self, revolutions: int) -> Array:
         """Return when the rotor passes the edges of the cells, (positions + 1,), from 0 to 1 of the
         time of a turn: the mean of the last `revolutions` whole turns."""
-        passed = np.concatenate(self._passed)
-        last = (passed.size - 1) // self._positions * self._positions
-        turns = passed[last - revolutions * self._positions :][: revolutions * self._positions + 1]
+        turns = self.passed(revolutions)
         edges = np.arange(self._positions + 1)
         each = turns[edges + self._positions * np.arange(revolutions)[:, None]]
         mean: Array = each.mean(axis=0)

@@ -24,7 +24,7 @@ def test_growth_is_that_at_equal_speeds_with_the_scatter_of_both():
     friction = np.sign(speed) * (2e-3 + 1e-4 * np.abs(speed)) + 0.3e-3
     before = holds(speed, friction, 6e-6, 20)
     chosen = [5, 1, 6, 2]
-    added = 1e-3 + 1e-5 * rng.standard_normal(4)
+    added = 1e-3 + 0.5e-5 * rng.standard_normal(4)
     torque = friction[chosen] + np.sign(np.array(speed)[chosen]) * added
     after = holds([*np.array(speed)[chosen], 9.0], [*torque, 1.0], 8e-6, 5)
     found = Findings(Scale(Quantity(0.05, "N m/A", 0.0)))
@@ -37,6 +37,26 @@ def test_growth_is_that_at_equal_speeds_with_the_scatter_of_both():
     assert by_name["scatter"].dof == pytest.approx(80)
     assert by_name["scatter with the force"].dof == pytest.approx(20)
     assert found.results["radial_friction_coefficient"].value == pytest.approx(result.value / 20)
+
+
+def test_friction_that_wanders_from_hold_to_hold_is_part_of_u():
+    """Growth by 8, 12, 9 and 11 e-4 forwards and twice 20 e-4 backwards, whose own u is 1e-5."""
+    found = Findings(Scale(Quantity(0.05, "N m/A", 0.0)))
+    speed = np.array([1.0, 2.0, 3.0, 5.0, -1.0, -2.0])
+    grown = np.array([8, 12, 9, 11, 20, 20]) * 1e-4
+    before = holds(speed, np.sign(speed) * 2e-3, 1e-5, 9)
+    after = holds(speed, np.sign(speed) * (2e-3 + grown), 1e-5, 9)
+    add_radial_friction(before, after, 20.0, found)
+    (line,) = (
+        line
+        for line in found.results["radial_load_friction"].budget
+        if line.name == "friction from hold to hold"
+    )
+    # squares about each direction's mean: 4 + 4 + 1 + 1, over four degrees of freedom
+    variance = 10e-8 / 4 - 2 * 1e-10
+    # each direction has half of the weight: 4 of an eighth, 2 of a quarter
+    assert line.contribution == pytest.approx(math.sqrt(variance * (4 / 64 + 2 / 16)), rel=1e-9)
+    assert line.dof == 4
 
 
 def test_other_speeds_are_not_compared():

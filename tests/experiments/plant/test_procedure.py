@@ -117,6 +117,13 @@ def test_other_rigs(folder, kt, overrides):
     assert off(outcome.results["viscous_friction"], recipe.virtual.motor.viscous_friction) < 5.8
 
 
+def test_too_few_experiments_are_refused_before_the_rig_moves():
+    alone = ("identify_plant.speeds=[10]", "identify_plant.realisations=1")
+    recipe, _ = load_recipe(RECIPE, (*alone, "rig.attachment=pulley"))
+    with pytest.raises(RecipeError, match=r"makes 2 experiments, 3 are needed .*realisations"):
+        IDENTIFY_PLANT.measure(None, recipe, None)
+
+
 def test_friction_that_differs_around_the_turn(folder):
     """A rig without other ripple; cut into one period less than recorded, friction is 4 % low."""
     overrides = (

@@ -10,6 +10,7 @@ from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.ripple import procedure as fft_ripple
 from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
 from rigtool.experiments.ripple.procedure import _shaking_note
+from rigtool.experiments.ripple.results import steps_note
 from rigtool.experiments.ripple.shared_scatter import shared_floor
 from rigtool.recipe import load_recipe, override_recipe
 from rigtool.runfile import open_run
@@ -125,6 +126,16 @@ def test_an_encoder_whose_steps_shake_the_loop_is_noted():
     assert note.startswith("at 1, 3 rad/s the steps of the encoder, 200 a turn,")
     fine, _ = load_recipe(RECIPE, ())
     assert _shaking_note(recordings, fine) == []
+
+
+def test_speeds_at_which_the_loop_follows_an_alias_of_the_encoder_are_noted():
+    """Nearly three counts or two and a half from one sample of the loop to the next."""
+    recipe, _ = load_recipe(RECIPE, ())
+    speeds = [2 * math.pi * x * 8000 / 4000 for x in (0.25, 2.5005, 2.52, 3.001)]
+    recordings = [SimpleNamespace(condition=lambda name, v=v: v) for v in speeds]
+    (note,) = steps_note(recordings, recipe)
+    assert note.startswith("at 31.4, 37.7 rad/s the encoder makes 2.501, 3.001 counts")
+    assert steps_note(recordings[::2], recipe) == []
 
 
 def test_ripple_grows_with_constant_torque(measured):
