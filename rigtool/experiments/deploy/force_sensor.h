@@ -92,9 +92,10 @@ enum {
     RS_KINDS
 };
 
-/* Of the ripple that a power-up draws: waves, orders that grow with the current, and the states of
- * what learns it, torque first. */
-enum { RS_WAVES = 12, RS_GROWING = RS_WAVES / 2, RS_PARTS = RS_WAVES + 1 };
+/* Of the ripple that a power-up draws: orders, those that are followed, their waves, and the states
+ * of what learns them, torque first; powers of the current in the variance of the rest. */
+enum { RS_ORDERS = 14, RS_FOLLOWED = 6, RS_WAVES = 2 * RS_FOLLOWED };
+enum { RS_PARTS = RS_WAVES + 1, RS_POWERS = 3 };
 
 /* Columns of the rotor's map. */
 enum { RS_COGGING, RS_RIPPLE, RS_GAIN, RS_SQUARE, RS_VISCOUS, RS_COLUMNS };
@@ -122,7 +123,9 @@ struct rs_model {
     rs_real short_kept, long_kept, step_threshold, slow_threshold, least_variance;
     /* ripple of another power-up: experiments/force_sensor/power_up.py has the equations */
     rs_real wave_kept, wave_held, wave_shown, wave_slow, wave_turn;
-    rs_real wave_growing[RS_GROWING][3]; /* squares by powers of the current */
+    int wave_order[RS_FOLLOWED]; /* they rise */
+    /* lag, and what is not followed by order: square, and squares by powers of the current */
+    rs_real wave_lag, wave_unfollowed[RS_ORDERS][1 + RS_POWERS];
     /* under either hypothesis, the learned power-up first */
     rs_real wave_mean[2][RS_WAVES], wave_variance[2][RS_WAVES], wave_doubt[2][RS_WAVES];
     rs_real row_noise, row_walk[2], row_reversal, row_contact, row_untouched, row_kept;
@@ -194,7 +197,7 @@ struct rigtool_sensor {
     struct rs_hypothesis hypotheses[2]; /* near the learned ripple, and another one */
     rs_real other, others[2]; /* logarithm of the second's likelihood over the first's; as it was */
     /* of all: both weights, the rest is the learned ripple's; mean of the ripple, and variance */
-    rs_real weights[2], ripples[RS_WAVES], ripple_spread;
+    rs_real weights[2], ripples[RS_WAVES], ripple_spread, unfollowed[1 + RS_POWERS];
     rs_real level[2], level_variance[2], fast; /* then: by a slow, a fast walk; probability of that */
     int row_length, row_drawn, row_steps, row_slid;
     int doubted; /* the wave whose doubt grows next */
@@ -800,21 +803,34 @@ static inline void rs_update(struct rigtool_sensor *s)
 
 /* -- ripple that the amplifier draws at a power-up --------------------------------------------- */
 
+/* Go on by orders to the followed one of a place, whose waves lag: `one` and `wave` (2) are cosine and
+ * sine of the first order, and of the last one. */
+static inline void rs_next_wave(
+    struct rigtool_sensor *s, int place, const rs_real *one, rs_real *wave)
+{
+    int i, order = place ? rs_model.wave_order[place - 1] : 0;
+    for (; order < rs_model.wave_order[place]; order++) {
+        const rs_real before = wave[0];
+        wave[0] = wave[0] * one[0] - wave[1] * one[1];
+        wave[1] = wave[1] * one[0] + before * one[1];
+    }
+    for (i = 0; i < 2; i++)
+        s->waves[2 * place + i] += (1 - rs_model.wave_kept) * (wave[i] - s->waves[2 * place + i]);
+}
+
 /* Waves of the rotor's angle, lagging: cosine and sine of each order. */
 static inline void rs_wave(struct rigtool_sensor *s)
 {
     int32_t within = s->encoder % rs_model.turn;
     rs_real angle = ((rs_real)within + (rs_real)0.5) * (RS_TURN / (rs_real)rs_model.turn);
-    const rs_real cosine = RS_MATH(cos)(angle), sine = RS_MATH(sin)(angle);
-    rs_real c = 1, z = 0;
-    int j;
-    for (j = 0; j < RS_WAVES; j += 2) {
-        const rs_real before = c;
-        c = c * cosine - z * sine;
-        z = z * cosine + before * sine;
-        s->waves[j] += (1 - rs_model.wave_kept) * (c - s->waves[j]);
-        s->waves[j + 1] += (1 - rs_model.wave_kept) * (z - s->waves[j + 1]);
-    }
+    const rs_real one[2] = {RS_MATH(cos)(angle), RS_MATH(sin)(angle)};
+    rs_real wave[2] = {1, 0};
+    rs_next_wave(s, 0, one, wave); /* no loop: each place has a number of steps of its own */
+    rs_next_wave(s, 1, one, wave);
+    rs_next_wave(s, 2, one, wave);
+    rs_next_wave(s, 3, one, wave);
+    rs_next_wave(s, 4, one, wave);
+    rs_next_wave(s, 5, one, wave);
 }
 
 /* The logarithm of the likelihood of a row that has one's or, with a probability, the other's; the
@@ -1148,6 +1164,20 @@ static inline void rs_show(struct rigtool_sensor *s)
     }
 }
 
+/* Sums over orders of the ripple that is not followed, behind the lag at the rotor's speed. */
+static inline void rs_renew_unfollowed(struct rigtool_sensor *s)
+{
+    const rs_real turned = s->x[RS_SPEED] * rs_model.wave_lag;
+    int i, j;
+    for (j = 0; j <= RS_POWERS; j++)
+        s->unfollowed[j] = 0;
+    for (i = 0; i < RS_ORDERS; i++) {
+        const rs_real behind = 1 / (1 + rs_square((rs_real)(i + 1) * turned));
+        for (j = 0; j <= RS_POWERS; j++)
+            s->unfollowed[j] += behind * rs_model.wave_unfollowed[i][j];
+    }
+}
+
 /* Add a step to the row; a whole row is taken in where all of it slides. The length of the next
  * one is drawn (D. H. Lehmer): no force swings with the rows. */
 static inline void rs_row(struct rigtool_sensor *s)
@@ -1170,23 +1200,19 @@ static inline void rs_row(struct rigtool_sensor *s)
         s->row[j] = 0;
     s->row_steps = s->row_slid = 0;
     s->row_drawn = (RS_DRAW_FACTOR * s->row_drawn + RS_DRAW_ADDED) % RS_DRAW_MODULUS;
+    rs_renew_unfollowed(s);
     s->row_length = RS_ROW_STEPS / 2 + RS_ROW_STEPS * s->row_drawn / RS_DRAW_MODULUS;
 }
 
-/* The variance by the current of another power-up's ripple. */
-static inline rs_real rs_by_current(const struct rigtool_sensor *s)
+/* The variance of the ripple of another power-up that is not followed. */
+static inline rs_real rs_unfollowed(const struct rigtool_sensor *s)
 {
     const struct rs_model *m = &rs_model;
     const rs_real current = (s->current_before + s->current) / 2, size = RS_MATH(fabs)(current);
     const rs_real warm = (s->temperature_before + s->temperature) / 2;
     const rs_real constant = m->constant + m->constant_slope * warm;
-    rs_real sum = 0;
-    int j;
-    for (j = 0; j < RS_GROWING; j++) {
-        const rs_real *c = m->wave_growing[j], *w = &s->waves[2 * j];
-        sum += (c[0] + size * (c[1] + size * c[2])) * (rs_square(w[0]) + rs_square(w[1]));
-    }
-    return sum * rs_square(m->torque_factor * constant * current);
+    const rs_real *u = s->unfollowed, growing = u[1] + size * (u[2] + size * u[3]);
+    return rs_square(m->torque_factor) * (u[0] + rs_square(constant * current) * growing);
 }
 
 /* Renew now and then by what is known what each wave takes off the drive torque. */
@@ -1245,7 +1271,7 @@ static inline rs_real rs_rippled(struct rigtool_sensor *s, rs_real *variance)
     s->taken = taken;
     if (s->row_steps % RS_SPREAD_STEPS == 0) /* waves hardly change within that */
         s->ripple_spread = rs_ripple_spread(s, mean);
-    *variance = s->ripple_spread + s->weights[1] * rs_by_current(s);
+    *variance = s->ripple_spread + s->weights[1] * rs_unfollowed(s);
     left = m->torque_factor * (mean - s->shown[RS_WAVES].seen);
     ripple = c[RS_ORDER] * left;
     for (i = 0; i < RS_ORDER; i++) {
@@ -1453,6 +1479,7 @@ static inline void rs_begin(struct rigtool_sensor *s)
         h->before[0] = h->before[1] = h->known;
     }
     rs_mix(s);
+    rs_renew_unfollowed(s);
     s->level_variance[0] = s->level_variance[1] = m->row_contact;
     s->still_up = s->still_down = RS_STILL_STEPS;
     rs_locate(s);

@@ -160,20 +160,22 @@ def _filter(instrument: SensorProperties) -> dict[str, Number]:
 
 def _ripple(instrument: SensorProperties) -> dict[str, Number]:
     model, step_time = instrument.model, instrument.grid.step_time
-    own, drawn, growing = learned_ripple(model)
+    learned, lag_time = learned_ripple(model), model.learned.shape.ripple_time
     uncertainty = model.uncertainty
     plant = model.plant(step_time)
     size = plant.torque_factor * (uncertainty.stroke + uncertainty.friction_noise)
     row_time = ripple_rows.row_steps(step_time) * step_time
-    both = np.stack([ripple_rows.CHANGED**2 * drawn, drawn])
+    both = np.stack([ripple_rows.CHANGED**2 * learned.drawn, learned.drawn])
     return {
-        "wave_kept": math.exp(-step_time / model.learned.shape.ripple_time),
-        "wave_growing": growing,
+        "wave_kept": math.exp(-step_time / lag_time),
+        "wave_order": learned.orders,
+        "wave_lag": lag_time,
+        "wave_unfollowed": learned.unfollowed,
         "wave_held": shown_ripple.LARGEST_SHOWN,
         "wave_shown": 1 - math.exp(-step_time / shown_ripple.SHOWN_TIME),
         "wave_slow": shown_ripple.HELD_LENGTHS * plant.presliding_angle / step_time,
         "wave_turn": step_time / shown_ripple.turned_inertia(plant),
-        "wave_mean": np.stack([0 * own, -own]),
+        "wave_mean": np.stack([0 * learned.coefficient, -learned.coefficient]),
         "wave_variance": both,
         "wave_doubt": both * (ripple_rows.WAVE_COUNT * row_time / ripple_rows.FORGOTTEN),
         "row_noise": (ripple_rows.NOISE * size) ** 2,
@@ -239,9 +241,9 @@ def _struct(numbers: Mapping[str, Number]) -> str:
 def _literal(value: Number) -> str:
     if isinstance(value, np.ndarray):
         return "{" + ", ".join(_literal(part) for part in value) + "}"
-    return (
-        value if isinstance(value, str) else repr(value if isinstance(value, int) else float(value))
-    )
+    if isinstance(value, str):
+        return value
+    return str(value) if isinstance(value, int | np.integer) else repr(float(value))
 
 
 def _map(declaration: str, values: Array) -> str:

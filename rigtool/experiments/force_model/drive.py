@@ -21,7 +21,7 @@ from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled_allocating
 
 MAP_SIZE = 2048
-"""Points of a turn: orders up to 12 are interpolated between them within 1e-5."""
+"""Points of a turn: orders up to 14 are interpolated between them within 2.5e-4."""
 
 COGGING, RIPPLE, GAIN, SQUARE, VISCOUS = range(5)
 LARGEST_LEAD = 1 / 3

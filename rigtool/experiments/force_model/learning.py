@@ -150,10 +150,14 @@ def learn_sliding(
     scan = Problem(showing, terms, known, tried[0], deviation, sizes.friction)
     shape = min(tried, key=lambda shape: scan.cost(shape)[1])
     problem = Problem(records, terms, known, shape, deviation, sizes.friction)
+    shape, _ = _searched(problem, shape)
+    problem.size_waves(shape)
     shape, coefficient = _searched(problem, shape)
     normal = problem.normal(shape, coefficient)
     _, covariance = problem.solved(normal.sum(axis=0), shape, len(SLIDING_PARAMETERS))
-    learned = LearnedModel(terms, shape, known, coefficient, covariance, np.full(2, LENGTH_SPREAD))
+    learned = LearnedModel(
+        problem.terms, shape, known, coefficient, covariance, np.full(2, LENGTH_SPREAD)
+    )
     return SlidingFit(learned, problem, normal, count)
 
 

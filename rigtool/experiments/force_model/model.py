@@ -288,7 +288,9 @@ class Sizes:
     speed: float
 
 
-COGGING_ORDERS, RIPPLE_ORDERS = range(1, 13), range(1, 7)
+ROTOR_ORDERS = range(1, 15)
+"""Orders of the rotor's angle: once and twice those of a motor with up to seven pole pairs."""
+
 HOUSING_ORDERS, LOAD_FRICTION_ORDERS = range(1, 7), range(1, 3)
 
 OFFSET_SPREAD = 0.01
@@ -325,10 +327,10 @@ def terms_for(sizes: Sizes, known: Known) -> tuple[Term, ...]:
         Term(Kind.SQUARE_RIPPLE, RIPPLE_SPREAD / sizes.current),
     ]
     listed += _waves(Kind.VISCOUS, WAVE_SPREAD * sizes.friction / sizes.speed, range(1, 3))
-    listed += _waves(Kind.COGGING, sizes.ripple, COGGING_ORDERS, 1.0)
-    listed += _waves(Kind.RIPPLE, sizes.ripple, RIPPLE_ORDERS, 0.5)
-    listed += _waves(Kind.GAIN_RIPPLE, RIPPLE_SPREAD, RIPPLE_ORDERS)
-    listed += _waves(Kind.SQUARE_RIPPLE, RIPPLE_SPREAD / sizes.current, RIPPLE_ORDERS)
+    listed += _waves(Kind.COGGING, sizes.ripple, ROTOR_ORDERS, 1.0)
+    listed += _waves(Kind.RIPPLE, sizes.ripple, ROTOR_ORDERS, 0.5)
+    listed += _waves(Kind.GAIN_RIPPLE, RIPPLE_SPREAD, ROTOR_ORDERS)
+    listed += _waves(Kind.SQUARE_RIPPLE, RIPPLE_SPREAD / sizes.current, ROTOR_ORDERS)
     listed += _waves(Kind.HOUSING, WAVE_SPREAD * sizes.friction, HOUSING_ORDERS, 0.5)
     listed += _waves(Kind.LOAD_FRICTION, LOAD_FRICTION_SPREAD / 10, LOAD_FRICTION_ORDERS)
     return tuple(listed)

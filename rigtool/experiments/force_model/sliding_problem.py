@@ -8,6 +8,7 @@ a stroke, deviations X b, b ~ N(0, S), and white noise of variance v,
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
@@ -52,6 +53,10 @@ DERIVATIVE_STEP = 0.002
 
 ROWS_PER_INDEPENDENT_ROW = 30.0
 """Rows that count as one independent row: the noise of friction lasts longer than a row."""
+
+SIZING_ROUNDS, LEAST_SIZE, LEAST_DETERMINED = 10, 0.01, 1.0
+"""Rounds in which the priors of waves are sized; the smallest size, in parts of that before; and
+the number of determined waves below which they show no size."""
 
 LEAST_RMS = 2e-3
 """Smallest rms residual that is assumed for a record, in parts of the friction."""
@@ -207,6 +212,32 @@ class Problem:
         solution = scale * (inverse @ right)
         covariance: Array = inverse * np.outer(scale, scale)
         return solution, covariance
+
+    def size_waves(self, shape: Shape) -> None:
+        """Set the priors of each kind's waves to the size that the records show at a shape.
+
+        With coefficients c of prior variance v and posterior variance P, those that the records
+        determine count: v is multiplied by the sum of c^2 / v over that of 1 - P / v, until it
+        stays (D. J. C. MacKay, Neural Computation 4(3) 415-447, 1992).
+        """
+        normal, first = self.normal(shape, None).sum(axis=0), self.spread
+        kinds = {term.kind for term in self.terms if term.order}
+        groups = [
+            [n for n, term in enumerate(self.terms) if term.kind is kind and term.order]
+            for kind in kinds
+        ]
+        for _ in range(SIZING_ROUNDS):
+            solution, covariance = self.solved(normal, shape, 0)
+            sized = self.spread.copy()
+            for own in groups:
+                determined = np.sum(1 - np.diag(covariance)[own] / self.spread[own] ** 2)
+                shown = np.sum((solution[own] / self.spread[own]) ** 2)
+                sized[own] *= math.sqrt(shown / max(determined, LEAST_DETERMINED))
+            self.spread = np.clip(sized, LEAST_SIZE * first, first)
+        self.terms = tuple(
+            replace(term, spread=spread)
+            for term, spread in zip(self.terms, self.spread.tolist(), strict=True)
+        )
 
     def cost(self, shape: Shape) -> tuple[Array, float]:
         """Return the best coefficients (t,) at a shape, and the sum of squares, in standard

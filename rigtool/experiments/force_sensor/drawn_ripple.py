@@ -1,39 +1,59 @@
 """What an amplifier may draw at another power-up, from the ripple that was learned.
 
-Ripple that grows with the current, (g + h |i|) kT i w, is in the variance alone. At another
-power-up it is off by
+The strongest orders of the ripple are followed (`power_up`). What of the ripple is not is in the
+variance alone: the other orders c, and what grows with the current, (g + h |i|) kT i. At another
+power-up these are off by
 
-    n^2 (kT i)^2 sum over orders of A(i)^2 |lag(w)|^2,    A(i)^2 = |g + h |i||^2,
+    n^2 sum over orders of (C^2 + (kT i)^2 A(i)^2) / (1 + (order b' tau)^2),
+    C^2 = |c|^2, 0 where followed,   A(i)^2 = |g + h |i||^2,
 
-in the mean over phases. The current i carries friction and inertia besides M. Load friction looks
-like the low orders of g: the square of what was learned holds the square of its errors already.
+in the mean over phases, behind the lag tau at the rotor's speed b'. The current i carries friction
+and inertia besides M. Load friction looks like the low orders of g: the square of what was learned
+holds the square of its errors already.
+
+What is followed may be larger than it was learned: along a part of a turn its waves look alike, and
+like the housing's friction. So its A^2 is |c|^2 and the variance of c, to which the prior's size has
+been learned (`Problem.size_waves`).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.model import RIPPLE_ORDERS, Kind
+from rigtool.experiments.force_model.model import ROTOR_ORDERS, Kind
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.numerics.arrays import Array
 
-UNCERTAIN_SHARE = 0.3
-"""Part of the variance of the ripple's learned waves that counts, as the low orders are learned too
-small: that of the high orders is their prior's, which is several times what amplifiers have."""
+FOLLOWED = 6
+"""Number of orders that are followed: the work of a row grows with the square of their number."""
 
 
-def learned_ripple(model: ForceModel) -> tuple[Array, Array, Array]:
-    """Return the ripple of the learned power-up, cosine and sine of each order N m, as it is at
-    low speed; the variance that another power-up's have; and A(i)^2 of what grows with the
-    current, coefficients of 1, |i| and i^2 for each order (4, 3)."""
+@dataclass(frozen=True, eq=False)
+class LearnedRipple:
+    """The ripple of the learned power-up: the `orders` that are followed, as they rise, cosine and
+    sine of each (12,) N m as they are at low speed, and the variance that another power-up's have;
+    and of every order of `ROTOR_ORDERS` what the variance alone has (14, 4): C^2, and coefficients
+    of 1, |i| and i^2 of A(i)^2."""
+
+    orders: NDArray[np.int64]
+    coefficient: Array
+    drawn: Array
+    unfollowed: Array
+
+
+def learned_ripple(model: ForceModel) -> LearnedRipple:
+    """Return the ripple of a learned model."""
     learned, first = model.learned, len(SLIDING_PARAMETERS)
     covariance = learned.covariance[first:, first:]
 
-    def waves(kinds: tuple[Kind, ...], orders: range) -> Array:
-        sums = np.zeros((2 * len(orders), len(learned.terms)))
+    def waves(*kinds: Kind) -> Array:
+        sums = np.zeros((2 * len(ROTOR_ORDERS), len(learned.terms)))
         for number, term in enumerate(learned.terms):
-            if term.kind in kinds and term.order in orders:
+            if term.kind in kinds and term.order in ROTOR_ORDERS:
                 sums[2 * (term.order - 1) + term.quarter, number] = 1.0
         return sums
 
@@ -42,9 +62,17 @@ def learned_ripple(model: ForceModel) -> tuple[Array, Array, Array]:
         total: Array = found.reshape(-1, 2).sum(axis=1)
         return total
 
-    still = waves((Kind.RIPPLE, Kind.COGGING), RIPPLE_ORDERS)
-    gain, bent = (waves((k,), RIPPLE_ORDERS) for k in (Kind.GAIN_RIPPLE, Kind.SQUARE_RIPPLE))
-    growing = np.column_stack([squares(gain, gain), 2 * squares(gain, bent), squares(bent, bent)])
+    still = waves(Kind.RIPPLE, Kind.COGGING)
+    gain, bent = waves(Kind.GAIN_RIPPLE), waves(Kind.SQUARE_RIPPLE)
     doubt = np.sum(still @ covariance * still, axis=1).reshape(-1, 2).sum(axis=1)
-    drawn = (squares(still, still) + UNCERTAIN_SHARE * doubt) / 2
-    return still @ learned.coefficient, np.repeat(drawn, 2), growing
+    other = squares(still, still)
+    drawn = (other + doubt) / 2
+    strongest = np.sort(np.argsort(-drawn, kind="stable")[:FOLLOWED])
+    other[strongest] = 0.0
+    growing = squares(gain, gain), 2 * squares(gain, bent), squares(bent, bent)
+    return LearnedRipple(
+        strongest + ROTOR_ORDERS[0],
+        (still @ learned.coefficient).reshape(-1, 2)[strongest].ravel(),
+        np.repeat(drawn[strongest], 2),
+        np.column_stack([other, *growing]),
+    )

@@ -36,7 +36,6 @@ import numpy as np
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.model import Kind, Term, wave
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
-from rigtool.experiments.force_sensor.drawn_ripple import UNCERTAIN_SHARE
 from rigtool.experiments.force_sensor.unknown_friction import ANGLE_CELLS, FEWEST_CELLS, Passes
 from rigtool.numerics.arrays import Array, Mask
 
@@ -281,7 +280,7 @@ def _other_phases(
     mean: Array, covariance: Array, terms: Sequence[Term], waves: list[int]
 ) -> tuple[Array, Array]:
     """Return mean and covariance of the terms where these `waves` of theirs have other phases."""
-    square = mean**2 + UNCERTAIN_SHARE * np.diag(covariance)
+    square = mean**2 + np.diag(covariance)
     mean, covariance = mean.copy(), covariance.copy()
     orders = np.array([terms[n].order for n in waves])
     mean[waves] = covariance[waves, :] = covariance[:, waves] = 0.0

@@ -7,7 +7,7 @@ Of a torque M on the output the filter finds, at the torque factor n,
 with beta what the amplifier's ripple is off from the learned one, c. Either the power-up is another
 one: c + beta has amplitudes A with other phases,
 
-    beta ~ N(-c, A^2 / 2),    A^2 = |c|^2 + share of the variance of c, of each order,
+    beta ~ N(-c, A^2 / 2),    A^2 = |c|^2 + variance of c, of each order,
 
 or the ripple is near the learned one, beta ~ N(0, `CHANGED`^2 A^2 / 2), or it is the learned one.
 
@@ -32,7 +32,8 @@ Applications to Tracking and Navigation, 2001, section 11.6.2, static multiple m
 
 A weak contact may also act all the time (`lasting_contact`), under each of the two.
 
-What of the ripple grows with the current is in the variance alone (`drawn_ripple`).
+The strongest orders that were learned are followed. The other ones, and what of the ripple grows
+with the current, are in the variance alone (`drawn_ripple`).
 
 What is known of the ripple is taken off the drive torque of the filter, as its friction depends on
 the torque: renewed every `HELD_TIME`, and what the filter's torque then lacks follows from the same
@@ -65,6 +66,7 @@ from rigtool.experiments.force_sensor.ripple_rows import (
     late_rows,
     mix,
     read_row,
+    renew_unfollowed,
     row_steps,
 )
 from rigtool.experiments.force_sensor.shown_ripple import show
@@ -80,13 +82,13 @@ class PowerUp:
     """
 
     def __init__(self, model: ForceModel, step_time: float, corner_hz: float) -> None:
-        own, drawn, growing = learned_ripple(model)
+        learned, lag_time = learned_ripple(model), model.learned.shape.ripple_time
         size = model.uncertainty.stroke + model.uncertainty.friction_noise
         plant = model.plant(step_time)
         factor = plant.torque_factor
         inertia = shown_ripple.turned_inertia(plant)
         steps = row_steps(step_time)
-        lag = 1 - math.exp(-step_time / model.learned.shape.ripple_time)
+        lag = 1 - math.exp(-step_time / lag_time)
         time, late = steps * step_time, late_rows(step_time)
         housing = plant.housing_friction, plant.housing_presliding_angle
         slow = shown_ripple.HELD_LENGTHS * plant.presliding_angle / step_time
@@ -94,14 +96,15 @@ class PowerUp:
         self._held_steps = held_steps(step_time)
         numbers = lag, factor, steps, time, factor * size, late, step_time, inertia
         load = plant.load_friction, plant.load_friction_onset
+        others = self._held_steps, lag_time, learned.orders, learned.unfollowed
         self._parameters = np.array(
-            [(*numbers, *housing, slow, shown, *load, self._held_steps)], dtype=PARAMETERS
+            [(*numbers, *housing, slow, shown, *load, *others)], dtype=PARAMETERS
         )
         self._state = np.zeros(1, dtype=STATE)
         state = self._state[0]
         state["length"], state["direction"] = steps, 1.0
-        state["expected"][1], state["growing"] = -own, growing
-        state["drawn"] = CHANGED**2 * drawn, drawn
+        state["expected"][1] = -learned.coefficient
+        state["drawn"] = CHANGED**2 * learned.drawn, learned.drawn
         state["mean"][:, :-1] = state["expected"]
         variances = np.column_stack([state["drawn"], np.full(2, (factor * size) ** 2)])
         state["covariance"] = [np.diag(one) for one in variances]
@@ -112,6 +115,7 @@ class PowerUp:
         state["lasts"] = LASTS
         state["level_variance"] = (CONTACT * factor * size) ** 2
         mix(state)
+        renew_unfollowed(state, self._parameters[0], 0.0)
         self._low_pass = passed.section(corner_hz, step_time)
 
     @property
@@ -136,8 +140,8 @@ class PowerUp:
         self, angle: Array, states: Array, gains: Array, drive: Array, taken: Array
     ) -> tuple[Array, Array, Array, Array]:
         """Return them from these steps and those before, torque behind the low-pass (m,) less what
-        `taken` left of it, and the variance (m,) N2 m2 that ripple by the current has if the
-        power-up is another one.
+        `taken` left of it, and the variance (m,) N2 m2 that ripple which is not followed has if
+        the power-up is another one.
 
         `angle` (m,) rad is the rotor's, `states` (m, 12) those of the causal filter, `gains` (m, 6)
         its `Estimate.gains`, `drive` (m, 2) the motor's torque N m and its current A; `taken` (m,)
@@ -152,7 +156,7 @@ class PowerUp:
 
     def whole(self, angle: Array, torque: Array) -> tuple[Array, Array, Array]:
         """Return them from all that was added, at its steps again: (m,) not low-passed, the
-        variance without what the current makes.
+        variance that of the followed orders alone.
 
         `angle` (m,) rad as before, `torque` (m,) N m from the whole recording.
         """
@@ -177,19 +181,21 @@ class PowerUp:
         found = np.empty((4, len(angle)))
         signals = angle, np.ascontiguousarray(torque), sliding, follows, drive
         _follow(state, self._parameters, self._low_pass, *signals, found)
-        ripple, variance, less, by_current = found
-        return ripple, variance, less, by_current
+        ripple, variance, less, unfollowed = found
+        return ripple, variance, less, unfollowed
 
 
 @compiled
-def _turn(waves: Array, lag: float, angle: float) -> None:
+def _turn(waves: Array, p: Record, angle: float) -> None:
     """Advance the waves by a step that ends at an angle, rad."""
     sine, cosine = math.sin(angle), math.cos(angle)
-    high, wide = sine, cosine  # of the orders, each from the one before
+    high, wide, order = 0.0, 1.0, 0  # of an order, each from the one before
     for j in range(0, WAVE_COUNT, 2):
-        waves[j] += lag * (wide - waves[j])
-        waves[j + 1] += lag * (high - waves[j + 1])
-        high, wide = high * cosine + wide * sine, wide * cosine - high * sine
+        while order < p.orders[j // 2]:
+            high, wide = high * cosine + wide * sine, wide * cosine - high * sine
+            order += 1
+        waves[j] += p.lag * (wide - waves[j])
+        waves[j + 1] += p.lag * (high - waves[j + 1])
 
 
 @compiled_allocating
@@ -202,7 +208,7 @@ def _ahead(
         taken[k] = 0.0
         for j in range(WAVE_COUNT):
             taken[k] += s.held[j] * waves[j]
-        _turn(waves, parameters[0].lag, angle[k])
+        _turn(waves, parameters[0], angle[k])
 
 
 @compiled
@@ -218,14 +224,14 @@ def _follow(
     found: Array,
 ) -> None:
     """Advance by m steps; `found` (4, m) receives ripple, variance, drive torque, and the
-    variance by the current of another power-up.
+    variance of what is not followed at another power-up.
 
     Where `sliding` is given, it learns, and ripple passes the low-pass.
     """
     s, p = state[0], parameters[0]
     waves = s.waves
     for k in range(angle.shape[0]):
-        _turn(waves, p.lag, angle[k])
+        _turn(waves, p, angle[k])
         if sliding.shape[0]:
             waves[WAVE_COUNT] = drive[k, 2]
             show(s, p, follows[k], torque[k])
@@ -236,6 +242,7 @@ def _follow(
             s.filled += 1.0
             if s.filled >= s.length:
                 read_row(s, p)
+                renew_unfollowed(s, p, follows[k, 7])
         shown = s.seen if sliding.shape[0] else waves
         mean, less = 0.0, 0.0
         for i in range(WAVE_COUNT):
@@ -248,15 +255,13 @@ def _follow(
                 for j in range(i):
                     total += s.doubt[i, j] * shown[j]
                 s.spread += 2.0 * p.factor**2 * shown[i] * total
-        by_current = 0.0
+        unfollowed = 0.0
         if drive.shape[0]:
-            size = abs(drive[k, 1])
-            for j in range(s.growing.shape[0]):
-                square = s.growing[j, 0] + size * (s.growing[j, 1] + size * s.growing[j, 2])
-                by_current += square * (waves[2 * j] ** 2 + waves[2 * j + 1] ** 2)
-            by_current *= (p.factor * drive[k, 0]) ** 2
-        found[0, k], found[1, k] = mean, s.spread + s.weights[1] * by_current
-        found[2, k], found[3, k] = less, by_current
+            size, u = abs(drive[k, 1]), s.unfollowed
+            growing = u[1] + size * (u[2] + size * u[3])
+            unfollowed = p.factor**2 * (u[0] + drive[k, 0] ** 2 * growing)
+        found[0, k], found[1, k] = mean, s.spread + s.weights[1] * unfollowed
+        found[2, k], found[3, k] = less, unfollowed
         if sliding.shape[0]:
             left, (first, second) = mean - p.factor * s.seen[WAVE_COUNT], s.passed
             found[0, k] = low_pass[2, 0] * first + low_pass[2, 1] * second

@@ -16,7 +16,8 @@ import numpy as np
 
 from rigtool.experiments.force_filter import passed
 from rigtool.experiments.force_filter.plant import Record
-from rigtool.experiments.force_model.model import RIPPLE_ORDERS
+from rigtool.experiments.force_model.model import ROTOR_ORDERS
+from rigtool.experiments.force_sensor.drawn_ripple import FOLLOWED
 from rigtool.experiments.force_sensor.lasting_contact import (
     DRIFT,
     counted,
@@ -84,10 +85,12 @@ LEAST_PART = 1e-9
 PARAMETERS = np.dtype(
     [(name, "f8") for name in ("lag", "factor", "steps", "time", "size", "late")]
     + [(name, "f8") for name in ("step_time", "inertia", "friction", "length", "slow", "shown")]
-    + [(name, "f8") for name in ("load_friction", "onset", "held")]
+    + [(name, "f8") for name in ("load_friction", "onset", "held", "lag_time")]
+    + [("orders", "i8", (FOLLOWED,)), ("unfollowed", "f8", (len(ROTOR_ORDERS), 4))]
 )
+"""`orders` and `unfollowed` are those of `drawn_ripple`."""
 
-WAVE_COUNT = 2 * len(RIPPLE_ORDERS)
+WAVE_COUNT = 2 * FOLLOWED
 
 STATE = np.dtype(
     [
@@ -138,7 +141,7 @@ STATE = np.dtype(
         ("level", "f8", (2,)),
         ("level_variance", "f8", (2,)),
         ("fast", "f8"),
-        ("growing", "f8", (len(RIPPLE_ORDERS), 3)),  # by powers of the current
+        ("unfollowed", "f8", (4,)),  # sums over the orders at the speed of the last row
         ("doubted", "f8"),  # the wave whose doubt grows next
         ("passed", "f8", (passed.LOW_PASS_ORDER,)),
     ]
@@ -189,6 +192,16 @@ def read_row(s: Record, p: Record) -> None:
     s.filled = s.slid = 0.0
     s.drawn_length = (DRAW[0] * s.drawn_length + DRAW[1]) % DRAW[2]
     s.length = p.steps // 2 + p.steps * s.drawn_length // DRAW[2]
+
+
+@compiled_allocating
+def renew_unfollowed(s: Record, p: Record, speed: float) -> None:
+    """Renew the sums over the orders that are not followed, for a speed of the rotor, rad/s."""
+    s.unfollowed[:] = 0.0
+    for i in range(p.unfollowed.shape[0]):
+        behind = 1.0 / (1.0 + ((i + 1) * speed * p.lag_time) ** 2)
+        for j in range(4):
+            s.unfollowed[j] += behind * p.unfollowed[i, j]
 
 
 @compiled_allocating

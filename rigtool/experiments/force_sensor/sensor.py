@@ -126,9 +126,10 @@ class Sensed:
     amplifier adds, `u` its standard uncertainty.
 
     `signals` are what the filter took, for another one; `less` (m,) N m is what that ripple takes
-    off the drive torque, `doubt` (m,) N m its standard deviation on the output, and `by_current`
-    (m,) N2 m2 the variance by the current if the power-up is another one; `kinds` (m,) are those of
-    errors, `Judge.kinds`; `unbent` (m,) is what bristles lack of being bent where the rotor creeps.
+    off the drive torque, `doubt` (m,) N m its standard deviation on the output, and `unfollowed`
+    (m,) N2 m2 the variance of what is not followed if the power-up is another one; `kinds` (m,) are
+    those of errors, `Judge.kinds`; `unbent` (m,) is what bristles lack of being bent where the
+    rotor creeps.
     """
 
     estimate: Estimate
@@ -141,7 +142,7 @@ class Sensed:
     signals: Signals
     less: Array
     doubt: Array
-    by_current: Array
+    unfollowed: Array
     unbent: Array
 
 
@@ -179,7 +180,7 @@ class Sensor:
         signals, riding = self._sampler.add(every, last=last)
         amperes, torque_constant, *found = self._stepper.add(riding)
         drive = np.column_stack([torque_constant * amperes, amperes])
-        estimate, (ripple, variance, less, by_current) = self._filtered(signals, drive)
+        estimate, (ripple, variance, less, unfollowed) = self._filtered(signals, drive)
         torque = estimate.passed - ripple
         moments = Moments(
             estimate.low,
@@ -198,7 +199,7 @@ class Sensor:
         u = uncertainty_of_kinds(scales, deviation, torque, kinds, variance, opened, least)
         doubt = np.sqrt(variance)
         own = estimate, torque, u, moments, states, kinds, found[2:], signals, less, doubt
-        return Sensed(*own, by_current, unbent)
+        return Sensed(*own, unfollowed, unbent)
 
     def _filtered(self, signals: Signals, drive: Array) -> tuple[Estimate, Array]:
         """Return the estimate after the steps that these samples complete, with what is known of

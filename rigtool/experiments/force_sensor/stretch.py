@@ -64,7 +64,7 @@ ESTIMATED_TYPES = {
     "untouched": np.float32,
     "untouched_u": np.float32,
     "doubt": np.float32,
-    "by_current": np.float32,
+    "unfollowed": np.float32,
     "unbent": np.float32,
     "opened": np.bool_,
 }
@@ -139,7 +139,7 @@ class Stretch:
         self._keep("less", sensed.less)
         self._keep("causal", sensed.torque[rows])
         self._keep("causal_u", sensed.u[rows])
-        self._keep("by_current", sensed.by_current[rows])
+        self._keep("unfollowed", sensed.unfollowed[rows])
         self._keep("unbent", sensed.unbent[rows])
         self._keep("opened", estimate.opened)
         self._keep("causal_states", sensed.states[rows])
@@ -301,8 +301,8 @@ class Stretch:
         ahead *= self._sensor.last_deviation
         deviation[-len(ahead) :] = np.hypot(deviation[-len(ahead) :], ahead)
         kinds = self._taken("kinds")[::every]
-        by_current = self._sensor.power_up.probability * self._taken("by_current")
-        variance = np.concatenate(variances) + by_current
+        unfollowed = self._sensor.power_up.probability * self._taken("unfollowed")
+        variance = np.concatenate(variances) + unfollowed
         idling, unbent = self._taken("idling")[::every], self._taken("unbent")
         least = instrument.least_variances(idling, kinds, unbent)
         # at rest what comes later may have come at once: between both forms, a rectangle

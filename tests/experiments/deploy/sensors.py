@@ -51,7 +51,7 @@ ROTOR = np.stack(
 
 
 DRIVE = MotorMap(ROTOR, 0.05, 2e-3, 1e-4)
-RIPPLE = {1: 5e-4, 2: 3e-4, 3: 1e-4, 6: 2e-4}
+RIPPLE = {1: 5e-4, 2: 3e-4, 3: 1e-4, 4: 3e-5, 6: 2e-4, 7: 4e-4, 14: 5e-5}
 GROWING = {(Kind.GAIN_RIPPLE, 2, 0): 4e-3, (Kind.SQUARE_RIPPLE, 3, 1): 6e-3}
 LEARNED = SimpleNamespace(
     terms=[Term(Kind.RIPPLE, 1e-3, order, order % 2) for order in RIPPLE]

@@ -26,7 +26,7 @@ STROKE, CONSTANT = 0.3e-3, 0.045
 def model(uncertain=0.0, growing=()):
     """Return a model; `growing` are kind, order and quarter of ripple by the current, and size."""
     terms = [Term(Kind.BEARING, 1.0), Term(Kind.HOUSING, 1.0)]
-    terms += [Term(Kind.RIPPLE, 1.0, *key) for key in LEARNED]
+    terms += [Term(Kind.RIPPLE, 1e-3, *key) for key in LEARNED]
     terms += [Term(kind, 1.0, *key) for kind, *key, _ in growing]
     coefficient = np.array([2e-3, 9e-3, *LEARNED.values(), *(size for *_, size in growing)])
     shape = Shape(2e-3, 8e-3, 5e-3, 0.3, LAG, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3)
@@ -132,6 +132,7 @@ def in_unit(own, unit):
     return ForceModel(
         replace(
             learned,
+            terms=tuple(replace(term, spread=unit * term.spread) for term in learned.terms),
             shape=replace(shape, **changed),
             known=replace(known, inertia=unit * known.inertia),
             coefficient=unit * learned.coefficient,
@@ -259,20 +260,21 @@ def test_ripple_that_grows_with_the_current_of_friction_and_load_is_in_the_varia
     """Of other phases, as long as nobody knows them: in the mean over phases and a turn."""
     angle = np.linspace(0.0, 40 * np.pi, 40000)
     sizes = [(Kind.GAIN_RIPPLE, 1, 0, 3e-3), (Kind.GAIN_RIPPLE, 2, 1, 4e-3)]
-    sizes += [(Kind.SQUARE_RIPPLE, 1, 1, 2e-3), (Kind.SQUARE_RIPPLE, 3, 0, 5e-3)]
+    sizes += [(Kind.SQUARE_RIPPLE, 1, 1, 2e-3), (Kind.SQUARE_RIPPLE, 9, 0, 15e-3)]
     states = np.zeros((len(angle), STATES))
+    states[:, SPEED] = np.gradient(angle, STEP)
     by_current, in_doubt = (
         PowerUp(model(u, sizes), STEP, BANDWIDTH).add(angle, states, *follows(states, current))[3]
         for u in (0.0, 1e-3)
     )
-    own = np.zeros((3, 2))
+    own = np.zeros((9, 2))
     for kind, order, quarter, size in sizes:
         own[order - 1, quarter] += size * (abs(current) if kind is Kind.SQUARE_RIPPLE else 1.0)
     squares = []
     for phase in np.arange(0, 2 * np.pi, 0.5):
         turn = np.array([[np.cos(phase), np.sin(phase)], [-np.sin(phase), np.cos(phase)]])
         off = own @ turn - own
-        keys = {(order + 1, q): off[order, q] for order in range(3) for q in range(2)}
+        keys = {(order + 1, q): off[order, q] for order in range(9) for q in range(2)}
         squares.append((CONSTANT * current * ripple(keys, angle))[20000:] ** 2)
     assert by_current[20000:].mean() == pytest.approx(np.mean(squares), rel=0.05)
     np.testing.assert_array_equal(in_doubt, by_current)  # squares hold those of the errors already

@@ -8,9 +8,9 @@ from numpy.testing import assert_allclose
 from scipy.signal import butter, lfilter
 
 from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, STATES, TORQUE
-from rigtool.experiments.force_model.model import RIPPLE_ORDERS, Kind, Term
+from rigtool.experiments.force_model.model import ROTOR_ORDERS, Kind, Term
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
-from rigtool.experiments.force_sensor.drawn_ripple import UNCERTAIN_SHARE, learned_ripple
+from rigtool.experiments.force_sensor.drawn_ripple import FOLLOWED, learned_ripple
 from rigtool.experiments.force_sensor.lasting_contact import LASTING, LASTS
 from rigtool.experiments.force_sensor.power_up import PowerUp
 from rigtool.experiments.force_sensor.ripple_rows import (
@@ -27,6 +27,7 @@ from tests.experiments.force_filter.plants import PLANT, UNCERTAINTY
 
 FIRST = len(SLIDING_PARAMETERS)
 TERMS = [*LEARNED.terms, Term(Kind.SQUARE_RIPPLE, 1e-3, 2, 0), Term(Kind.COGGING, 1e-3, 3, 0)]
+STILL = (Kind.RIPPLE, Kind.COGGING)
 COEFFICIENT = np.append(LEARNED.coefficient, [5e-3, 4e-4])
 
 
@@ -34,7 +35,7 @@ def covaried(seed=2):
     """Return the model of the tests with a covariance between its terms, which are more."""
     rng = np.random.default_rng(seed)
     size = FIRST + len(TERMS)
-    root = 1e-3 * rng.standard_normal((size, size))
+    root = 1e-4 * rng.standard_normal((size, size))
     given = {"terms": TERMS, "coefficient": COEFFICIENT, "covariance": root @ root.T}
     learned = type(LEARNED)(**{**vars(LEARNED), **given})
 
@@ -46,18 +47,40 @@ def covaried(seed=2):
 
 
 def test_the_learned_ripple_is_that_of_its_orders():
-    own, _, _ = learned_ripple(covaried())
-    expected = np.zeros(2 * len(RIPPLE_ORDERS))
+    own = learned_ripple(covaried())
+    expected = np.zeros((len(ROTOR_ORDERS) + 1, 2))
     for term, value in zip(TERMS, COEFFICIENT, strict=True):
         if term.kind in (Kind.RIPPLE, Kind.COGGING):
-            expected[2 * (term.order - 1) + term.quarter] += value
-    assert np.count_nonzero(expected) == 5
-    assert_allclose(own, expected)
+            expected[term.order, term.quarter] += value
+    followed = expected[own.orders]
+    assert np.count_nonzero(followed) >= FOLLOWED
+    assert_allclose(own.coefficient, followed.ravel())
+
+
+def test_the_strongest_orders_are_followed_and_what_is_left_is_in_the_variance():
+    sizes = {1: 2e-4, 2: 9e-4, 4: 1e-4, 5: 3e-4, 7: 8e-4, 9: 5e-4, 13: 7e-4, 14: 4e-4}
+    terms = [Term(Kind.RIPPLE, 1e-3, order, order % 2) for order in sizes]
+    given = {"terms": terms, "coefficient": np.array([*sizes.values()])}
+    given["covariance"] = np.zeros((FIRST + len(terms),) * 2)
+
+    class Own(Model):
+        learned = type(LEARNED)(**{**vars(LEARNED), **given})
+
+    own = learned_ripple(Own())
+    assert own.orders.tolist() == [2, 5, 7, 9, 13, 14]
+    assert_allclose(own.drawn, np.repeat([sizes[order] ** 2 / 2 for order in own.orders], 2))
+    left = [sizes[order] ** 2 if order in (1, 4) else 0.0 for order in ROTOR_ORDERS]
+    assert_allclose(own.unfollowed, np.column_stack([left, np.zeros((len(left), 3))]))
 
 
 def test_another_power_up_has_the_amplitude_of_each_order_and_a_part_of_still_ones_doubt():
     model = covaried()
-    _, drawn, growing = learned_ripple(model)
+    own, waves = learned_ripple(model), [n for n, t in enumerate(TERMS) if t.kind in STILL]
+    prior = np.array([TERMS[n].spread ** 2 for n in waves])
+    left = np.diag(model.learned.covariance)[FIRST:][waves]
+    determined = sum(max(1 - p / v, 0) for p, v in zip(left, prior, strict=True))
+    share = np.sum(COEFFICIENT[waves] ** 2 / prior) / determined
+    assert 0.01 < share < 1
     covariance = model.learned.covariance[FIRST:, FIRST:]
     terms, values = TERMS, COEFFICIENT
 
@@ -72,20 +95,40 @@ def test_another_power_up_has_the_amplitude_of_each_order_and_a_part_of_still_on
             total += (one @ values) * (other @ values) + share * doubt
         return total
 
-    for order in RIPPLE_ORDERS:
-        expected = square((Kind.RIPPLE, Kind.COGGING), order, share=UNCERTAIN_SHARE) / 2
-        assert_allclose(drawn[2 * order - 2 : 2 * order], expected)
-    gain, bent = (Kind.GAIN_RIPPLE,), (Kind.SQUARE_RIPPLE,)
-    for order in RIPPLE_ORDERS:
+    still, gain, bent = STILL, (Kind.GAIN_RIPPLE,), (Kind.SQUARE_RIPPLE,)
+    for place, order in enumerate(own.orders):
+        expected = square(still, order, share=share) / 2
+        assert_allclose(own.drawn[2 * place : 2 * place + 2], expected)
+    for order in ROTOR_ORDERS:
         # |g + h |i||^2 = g g + 2 g h |i| + h h i^2
-        expected = square(gain, order), 2 * square(gain, order, bent), square(bent, order)
-        assert_allclose(growing[order - 1], expected, atol=1e-18)
+        growing = square(gain, order), 2 * square(gain, order, bent), square(bent, order)
+        left = 0.0 if order in own.orders else square(still, order)
+        assert_allclose(own.unfollowed[order - 1], [left, *growing], atol=1e-18)
+
+
+@pytest.mark.parametrize(("learned", "doubt"), [(1e-4, 0.01), (3e-3, 1.0)])
+def test_waves_that_nothing_determines_have_the_variance_of_those_that_something_does(
+    learned, doubt
+):
+    """Order 1 is learned, order 2 has its prior's variance; no share is more than all of it."""
+    terms = [Term(Kind.RIPPLE, 1e-3, order, quarter) for order in (1, 2) for quarter in (0, 1)]
+    variances = np.repeat([0.0, 1e-6], 2)
+    given = {"terms": terms, "coefficient": np.array([learned, learned, 0.0, 0.0])}
+    given["covariance"] = np.diag(np.append(np.zeros(FIRST), variances))
+
+    class Own(Model):
+        learned = type(LEARNED)(**{**vars(LEARNED), **given})
+
+    own = learned_ripple(Own())
+    assert own.orders[:2].tolist() == [1, 2]
+    assert_allclose(own.drawn[:4], np.repeat([learned**2, doubt * 1e-6], 2))
 
 
 @pytest.mark.parametrize("step_time", [1e-3, 4e-3])
 def test_it_is_followed_from_the_learned_power_up_on(step_time):
     model = covaried()
-    own, drawn, growing = learned_ripple(model)
+    learned = learned_ripple(model)
+    own, drawn = learned.coefficient, learned.drawn
     found = PowerUp(model, step_time, 10.0)
     p, s = found._parameters[0], found._state[0]
     plant = model.plant(step_time)
@@ -107,10 +150,13 @@ def test_it_is_followed_from_the_learned_power_up_on(step_time):
         "load_friction": PLANT.load_friction,
         "onset": PLANT.load_friction_onset,
         "held": round(2 / step_time),
+        "lag_time": LEARNED.shape.ripple_time,
+        "orders": learned.orders,
+        "unfollowed": learned.unfollowed,
     }
     assert set(expected) == set(p.dtype.names)
     for name, value in expected.items():
-        assert p[name] == pytest.approx(value), name
+        assert_allclose(p[name], value, err_msg=name)
     for h, (mean, variances) in enumerate([(0 * own, CHANGED**2 * drawn), (-own, drawn)]):
         variances = np.append(variances, (factor * size) ** 2)
         assert_allclose(s["expected"][h], mean)
@@ -119,7 +165,7 @@ def test_it_is_followed_from_the_learned_power_up_on(step_time):
         assert_allclose(s["drawn"][h], variances[:-1])
         assert_allclose(s["means"][h], [s["mean"][h]] * 2)
         assert_allclose(s["covariances"][h], [s["covariance"][h]] * 2)
-    assert_allclose(s["growing"], growing)
+    assert_allclose(s["unfollowed"], learned.unfollowed.sum(axis=0))
     assert (s["direction"], s["length"]) == (1.0, row_steps(step_time))
     assert_allclose(s["lasts"], LASTS)
     assert s["level_variance"] == pytest.approx((CONTACT * factor * size) ** 2)
@@ -161,7 +207,7 @@ def test_each_step_gives_mean_and_variance_of_what_is_known():
     """By scipy's low-pass; a variance holds for some steps."""
     model, rng, step = covaried(), np.random.default_rng(5), 1e-3
     own = PowerUp(model, step, 10.0)
-    s, count = own._state[0], 2 * len(RIPPLE_ORDERS)
+    s, count = own._state[0], 2 * FOLLOWED
     root = 1e-3 * rng.standard_normal((count, count))
     covariance = root @ root.T
     s["doubt"], s["length"] = np.tril(covariance), 100.0  # no row is full
@@ -173,21 +219,23 @@ def test_each_step_gives_mean_and_variance_of_what_is_known():
     states, current = np.zeros((size, STATES)), rng.uniform(-0.5, 1, size)
     states[:, SPEED] = 3.0
     drive = np.column_stack([0.045 * current, current])
-    orders, means, held = np.repeat(RIPPLE_ORDERS, 2), [], 0.0
+    learned = learned_ripple(model)
+    orders, means, held = np.repeat(learned.orders, 2), [], 0.0
+    by_order = s["unfollowed"].copy()  # at rest, until a row is full
     for k in range(size):
-        ripple, variance, less, by_current = own.add(
+        ripple, variance, less, unfollowed = own.add(
             angle[[k]], states[[k]], 0.01 * np.ones((1, 6)), drive[[k]], taken[[k]]
         )
         fresh = np.where(np.arange(count) % 2, np.sin(orders * angle[k]), np.cos(orders * angle[k]))
         before = before + (1 - math.exp(-step / LEARNED.shape.ripple_time)) * (fresh - before)
         assert_allclose(s["waves"], np.append(before, taken[k]))
-        squares = (before**2).reshape(-1, 2).sum(axis=1)[: len(RIPPLE_ORDERS)]
-        grows = s["growing"] @ np.abs(current[k]) ** np.arange(3)
-        assert_allclose(by_current, [(factor * 0.045 * current[k]) ** 2 * grows @ squares])
+        grows = by_order[1:] @ np.abs(current[k]) ** np.arange(3)
+        expected = factor**2 * (by_order[0] + (0.045 * current[k]) ** 2 * grows)
+        assert_allclose(unfollowed, [expected])
         *seen, left = factor * s["seen"]
         if (k + 1) % SPREAD_STEPS == 0:
             held = seen @ covariance @ seen
-        assert_allclose(variance, held + 0.6 * by_current)
+        assert_allclose(variance, held + 0.6 * unfollowed)
         assert_allclose(less, before @ s["known"])
         means.append(seen @ s["known"] - left)
         assert_allclose(ripple[0], lfilter(*butter(2, 10.0, fs=1 / step), means)[-1])
