@@ -19,7 +19,8 @@ Friction of another instrument or mounting looks like friction at other angles, 
 to be likelier than the learned zero with other friction by angle: its waves have other phases, as
 those of the ripple, and its level is off by `LEVEL`. What touches is then searched for from what o
 leaves untouched, as this friction alone may be as large as what touches. Where it is likelier, the
-tables do not hold F, whichever it is.
+tables do not hold F, whichever it is. Nor do they where no o is found, and this friction is
+likelier than the learned one by the odds that another zero needs.
 
 Beyond the learned angles the learned coefficients leave F and R open, so that a zero by which a
 tissue at the end of the stroke lies there explains it. The cells that o leaves within the learned
@@ -73,6 +74,9 @@ CERTAIN, LARGEST_U, UNTOUCHED_PART, SEEN_CELLS = 0.999, 0.05, 0.45, 0.8
 """Probability of another zero from which on it is taken, and its largest u, in the learned range;
 parts of the passes of each direction that nothing touches, and of the cells that are so in both:
 with less, a load that stays looks like it."""
+
+LONG_ODDS = math.log(CERTAIN / (1 - CERTAIN)) + math.log(UNMOVED / (1 - UNMOVED))
+"""Logarithm of the likelihood's gain by what is `CERTAIN` although another zero is so unlikely."""
 
 
 @dataclass(frozen=True)
@@ -130,15 +134,15 @@ def encoder_zero(
     mean = float(odds @ places)
     moved, u = count * round(mean / count), math.sqrt(odds @ (places - mean) ** 2)
     if moved == 0 or unmoved > 1 - CERTAIN or u > LARGEST_U * (reach[1] - reach[0]):
-        return None
+        return search.other_instrument()
     likelihood, untouched = search.likelihood(moved)
     if not search.shows(untouched):
-        return None
+        return search.other_instrument()
     there = np.where(search.learned_at(moved), torque, math.nan)
     within = _Search(model, reach, direction, there, speed)
     gained = ROW_EVIDENCE * (within.likelihood(moved)[0] - within.likelihood(0.0)[0])
-    if gained < math.log(CERTAIN / (1 - CERTAIN)) + math.log(UNMOVED / (1 - UNMOVED)):
-        return None
+    if gained < LONG_ODDS:
+        return search.other_instrument()
     other, differs = search.other_friction(untouched)
     if ROW_EVIDENCE * (other - likelihood) + math.log(OTHER) > 0:
         return EncoderZero(0.0, u, differs)
@@ -249,6 +253,15 @@ class _Search:
             differs = (mean + root @ drawn - self._learned)[: friction.shape[1]]
             found.append((value, float(np.sqrt(np.mean((friction @ differs) ** 2)))))
         return max(found)
+
+    def other_instrument(self) -> EncoderZero | None:
+        """Return the difference of other friction by angle where this is far likelier than the
+        learned one, at the learned zero."""
+        learned, untouched = self.likelihood(0.0)
+        other, differs = self.other_friction(untouched)
+        gained = ROW_EVIDENCE * (other - learned) + math.log(OTHER)
+        found = gained > LONG_ODDS and self.shows(untouched)
+        return EncoderZero(0.0, 0.0, differs) if found else None
 
     def _by_hypothesis(
         self, mean: Array, columns: Array, found: Array | None = None

@@ -13,6 +13,7 @@ from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
+from rigtool.experiments.force_sensor import encoder_zero as module
 from rigtool.experiments.force_sensor.encoder_zero import _Search, encoder_zero
 from rigtool.experiments.force_sensor.unknown_friction import ANGLE_CELLS, Passes
 
@@ -95,6 +96,28 @@ def test_another_zero_is_found_within_its_uncertainty(seed, counts, waves):
 @given(seed=st.integers(0, 2**31), waves=st.sampled_from([RIPPLE, OTHER_RIPPLE]))
 def test_the_zero_of_the_learning_is_left_alone(seed, waves):
     assert zero_of(passes(np.random.default_rng(seed), 0, waves=waves)) is None
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"first": 1.06, "third": 0.03, "sixth": 1.14},
+        {"first": 1.09, "third": -0.7, "sixth": 0.79},
+    ],
+)
+def test_friction_of_another_instrument_is_found_where_no_zero_explains_it(monkeypatch, other):
+    own = passes(
+        np.random.default_rng(4), 0, cycles=4, by_friction=functools.partial(friction, **other)
+    )
+    found = zero_of(own)
+    assert found.moved == 0
+    left = FACTOR * (friction(ANGLE, **other) - friction(ANGLE))
+    assert found.spread == pytest.approx(np.sqrt(np.mean(left**2)), rel=0.15)
+    with monkeypatch.context() as patch:
+        patch.setattr(_Search, "shows", lambda self, untouched: False)
+        assert zero_of(own) is None
+    monkeypatch.setattr(module, "LONG_ODDS", 1e3)
+    assert zero_of(own) is None
 
 
 @pytest.mark.parametrize("counts", [0, -300])
@@ -206,6 +229,9 @@ def test_another_zero_is_taken_at_long_odds_only(monkeypatch, log_odds, learned,
 
         def other_friction(self, untouched):
             return -math.inf, 0.0
+
+        def other_instrument(self):
+            return None
 
         def mean(self, moved):
             return np.zeros(4)

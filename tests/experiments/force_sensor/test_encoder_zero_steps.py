@@ -175,6 +175,9 @@ class Given:
     def other_friction(self, untouched):
         return -math.inf, 0.0
 
+    def other_instrument(self):
+        return None
+
     def mean(self, moved):
         return np.full(4, 5e-3 * moved)
 
