@@ -20,7 +20,7 @@ to be likelier than the learned zero with other friction by angle: its waves hav
 those of the ripple, and its level is off by `LEVEL`. What touches is then searched for from what o
 leaves untouched, as this friction alone may be as large as what touches. Where it is likelier, the
 tables do not hold F, whichever it is. Nor do they where no o is found, and this friction is
-likelier than the learned one by the odds that another zero needs.
+likelier than the learned one by the odds that another zero needs, and differs by `DOUBTED` u.
 
 Beyond the learned angles the learned coefficients leave F and R open, so that a zero by which a
 tissue at the end of the stroke lies there explains it. The cells that o leaves within the learned
@@ -39,7 +39,12 @@ from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.model import Kind, Term, wave
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.experiments.force_sensor.drawn_ripple import UNCERTAIN_SHARE
-from rigtool.experiments.force_sensor.unknown_friction import ANGLE_CELLS, FEWEST_CELLS, Passes
+from rigtool.experiments.force_sensor.unknown_friction import (
+    ANGLE_CELLS,
+    DOUBTED,
+    FEWEST_CELLS,
+    Passes,
+)
 from rigtool.numerics.arrays import Array, Mask
 
 FARTHEST, PLACES, PARTS = 0.5, 43, 4
@@ -118,6 +123,7 @@ def encoder_zero(
     chosen = np.sort(np.concatenate([one[at.round().astype(int)] for one, at in every]))
     direction, torque, speed = direction[chosen], torque[chosen], speed[chosen]
     search = _Search(model, reach, direction, torque, speed)
+    doubted = DOUBTED * float(np.nanmedian(np.vstack([part.u for part in parts])))
     step = 2 * FARTHEST * (reach[1] - reach[0]) / (PLACES - 1)
     places = step * (np.arange(PLACES) - PLACES // 2)
     logs = np.array([search.odds(place) for place in places])
@@ -134,15 +140,15 @@ def encoder_zero(
     mean = float(odds @ places)
     moved, u = count * round(mean / count), math.sqrt(odds @ (places - mean) ** 2)
     if moved == 0 or unmoved > 1 - CERTAIN or u > LARGEST_U * (reach[1] - reach[0]):
-        return search.other_instrument()
+        return search.other_instrument(doubted)
     likelihood, untouched = search.likelihood(moved)
     if not search.shows(untouched):
-        return search.other_instrument()
+        return search.other_instrument(doubted)
     there = np.where(search.learned_at(moved), torque, math.nan)
     within = _Search(model, reach, direction, there, speed)
     gained = ROW_EVIDENCE * (within.likelihood(moved)[0] - within.likelihood(0.0)[0])
     if gained < LONG_ODDS:
-        return search.other_instrument()
+        return search.other_instrument(doubted)
     other, differs = search.other_friction(untouched)
     if ROW_EVIDENCE * (other - likelihood) + math.log(OTHER) > 0:
         return EncoderZero(0.0, u, differs)
@@ -254,13 +260,13 @@ class _Search:
             found.append((value, float(np.sqrt(np.mean((friction @ differs) ** 2)))))
         return max(found)
 
-    def other_instrument(self) -> EncoderZero | None:
+    def other_instrument(self, least: float) -> EncoderZero | None:
         """Return the difference of other friction by angle where this is far likelier than the
-        learned one, at the learned zero."""
+        learned one, at the learned zero, and differs by the `least` N m that counts."""
         learned, untouched = self.likelihood(0.0)
         other, differs = self.other_friction(untouched)
         gained = ROW_EVIDENCE * (other - learned) + math.log(OTHER)
-        found = gained > LONG_ODDS and self.shows(untouched)
+        found = gained > LONG_ODDS and differs > least and self.shows(untouched)
         return EncoderZero(0.0, 0.0, differs) if found else None
 
     def _by_hypothesis(

@@ -116,6 +116,10 @@ def test_friction_of_another_instrument_is_found_where_no_zero_explains_it(monke
     with monkeypatch.context() as patch:
         patch.setattr(_Search, "shows", lambda self, untouched: False)
         assert zero_of(own) is None
+    for times, expected in ((2.9, True), (3.1, False)):  # from a third of u on
+        own.u[:] = times * found.spread
+        assert (zero_of(own) is not None) == expected
+    own.u[:] = found.spread
     monkeypatch.setattr(module, "LONG_ODDS", 1e3)
     assert zero_of(own) is None
 
@@ -230,7 +234,7 @@ def test_another_zero_is_taken_at_long_odds_only(monkeypatch, log_odds, learned,
         def other_friction(self, untouched):
             return -math.inf, 0.0
 
-        def other_instrument(self):
+        def other_instrument(self, least):
             return None
 
         def mean(self, moved):

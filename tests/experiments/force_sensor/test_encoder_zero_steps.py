@@ -175,7 +175,7 @@ class Given:
     def other_friction(self, untouched):
         return -math.inf, 0.0
 
-    def other_instrument(self):
+    def other_instrument(self, least):
         return None
 
     def mean(self, moved):
