@@ -7,7 +7,8 @@ d that nothing touches is then
     M = n [d (F(b - o) - F(b)) + R(b - o) - R(b)] + stroke + e
 
 with the torque factor n, friction F and torque by rotor angle R of the learned terms, whose
-coefficients have the learned covariance, friction's deviation of the stroke, and white noise e.
+coefficients have the learned covariance, friction's deviation of the stroke, and white noise e. The
+amplifier's part of R lags, as at the steady speed of a pass in a cell.
 Either ripple is that of the learned power-up, or its waves have other phases:
 beta ~ N(0, A^2 / 2), as in `power_up`. What touches makes cells as far off as `TOUCHED`; which
 ones, is found for each o by expectation and maximisation (A. P. Dempster, N. M. Laird, D. B. Rubin,
@@ -18,7 +19,8 @@ Friction of another instrument or mounting looks like friction at other angles, 
 to be likelier than the learned zero with other friction by angle: its waves have other phases, as
 those of the ripple, and its level is off by `LEVEL`. What touches is then searched for from what o
 leaves untouched, as this friction alone may be as large as what touches. Where it is likelier, the
-tables do not hold F, whichever it is.
+tables do not hold F, whichever it is. Nor do they where no o is found, and this friction is
+likelier than the learned one by the odds that another zero needs, and differs by `DOUBTED` u.
 
 Beyond the learned angles the learned coefficients leave F and R open, so that a zero by which a
 tissue at the end of the stroke lies there explains it. The cells that o leaves within the learned
@@ -29,14 +31,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.model import Kind, Term, wave
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
-from rigtool.experiments.force_sensor.unknown_friction import ANGLE_CELLS, FEWEST_CELLS, Passes
+from rigtool.experiments.force_sensor.unknown_friction import (
+    ANGLE_CELLS,
+    DOUBTED,
+    FEWEST_CELLS,
+    Passes,
+)
 from rigtool.numerics.arrays import Array, Mask
 
 FARTHEST, PLACES, PARTS = 0.5, 43, 4
@@ -72,6 +79,9 @@ CERTAIN, LARGEST_U, UNTOUCHED_PART, SEEN_CELLS = 0.999, 0.05, 0.45, 0.8
 parts of the passes of each direction that nothing touches, and of the cells that are so in both:
 with less, a load that stays looks like it."""
 
+LONG_ODDS = math.log(CERTAIN / (1 - CERTAIN)) + math.log(UNMOVED / (1 - UNMOVED))
+"""Logarithm of the likelihood's gain by what is `CERTAIN` although another zero is so unlikely."""
+
 
 @dataclass(frozen=True)
 class EncoderZero:
@@ -100,6 +110,7 @@ def encoder_zero(
     """
     direction = np.concatenate([part.direction for part in parts])
     torque = np.vstack([part.torque for part in parts])
+    speed = np.vstack([np.broadcast_to(part.speed, part.torque.shape) for part in parts])
     if hand is not None:
         torque = np.where(direction[:, None] * torque >= -hand, torque, np.nan)
     seen = np.isfinite(torque).sum(axis=1) >= FEWEST_CELLS
@@ -109,8 +120,9 @@ def encoder_zero(
     spread = [np.linspace(0, len(one) - 1, min(len(one), MOST_PASSES)) for one in sides]
     every = zip(sides, spread, strict=True)
     chosen = np.sort(np.concatenate([one[at.round().astype(int)] for one, at in every]))
-    direction, torque = direction[chosen], torque[chosen]
-    search = _Search(model, reach, direction, torque)
+    direction, torque, speed = direction[chosen], torque[chosen], speed[chosen]
+    search = _Search(model, reach, direction, torque, speed)
+    doubted = DOUBTED * float(np.nanmedian(np.vstack([part.u for part in parts])))
     step = 2 * FARTHEST * (reach[1] - reach[0]) / (PLACES - 1)
     places = step * (np.arange(PLACES) - PLACES // 2)
     logs = np.array([search.odds(place) for place in places])
@@ -127,14 +139,15 @@ def encoder_zero(
     mean = float(odds @ places)
     moved, u = count * round(mean / count), math.sqrt(odds @ (places - mean) ** 2)
     if moved == 0 or unmoved > 1 - CERTAIN or u > LARGEST_U * (reach[1] - reach[0]):
-        return None
+        return search.other_instrument(doubted)
     likelihood, untouched = search.likelihood(moved)
     if not search.shows(untouched):
-        return None
-    within = _Search(model, reach, direction, np.where(search.learned_at(moved), torque, math.nan))
+        return search.other_instrument(doubted)
+    there = np.where(search.learned_at(moved), torque, math.nan)
+    within = _Search(model, reach, direction, there, speed)
     gained = ROW_EVIDENCE * (within.likelihood(moved)[0] - within.likelihood(0.0)[0])
-    if gained < math.log(CERTAIN / (1 - CERTAIN)) + math.log(UNMOVED / (1 - UNMOVED)):
-        return None
+    if gained < LONG_ODDS:
+        return search.other_instrument(doubted)
     other, differs = search.other_friction(untouched)
     if ROW_EVIDENCE * (other - likelihood) + math.log(OTHER) > 0:
         return EncoderZero(0.0, u, differs)
@@ -147,7 +160,12 @@ class _Search:
     """Passes in cells, and the linear model that they have for one o; see the module."""
 
     def __init__(
-        self, model: ForceModel, reach: tuple[float, float], direction: Array, torque: Array
+        self,
+        model: ForceModel,
+        reach: tuple[float, float],
+        direction: Array,
+        torque: Array,
+        speed: Array,
     ) -> None:
         learned, (low, high) = model.learned, reach
         self._known = learned.known
@@ -171,11 +189,11 @@ class _Search:
 
         self._hypotheses = either(coefficient, covariance)
         self._other_friction = either(*_other_phases(coefficient, level, terms, frictions))
-        self._subtracted = self._waves(0.0) @ coefficient
         self._pass, self._cell = np.nonzero(np.isfinite(torque))
         self._direction = direction[self._pass]
         self._torque = torque[self._pass, self._cell]
-        self._row = self._cell + ANGLE_CELLS * (self._direction < 0)
+        self._lag = speed[self._pass, self._cell] * learned.shape.ripple_time
+        self._learned, self._subtracted = coefficient, self._waves(0.0) @ coefficient
         deviation = self._known.torque_factor * stroke
         friction = sum(c for t, c in zip(self._terms[0], coefficient, strict=False) if not t.order)
         self._noise = NOISE * deviation
@@ -186,16 +204,20 @@ class _Search:
         self._strokes[rows, 2 * self._pass] = deviation * np.cos(output)
         self._strokes[rows, 2 * self._pass + 1] = deviation * np.sin(output)
 
+    def _friction(self, moved: float) -> Array:
+        """Return the terms of friction in positive motion, (cells, t), N m on the output."""
+        output = (self._angle - moved) / self._known.angle_ratio
+        found = np.array([wave(term, output) for term in self._terms[0]]).reshape(-1, ANGLE_CELLS)
+        return self._known.torque_factor * found.T
+
     def _waves(self, moved: float) -> Array:
-        """Return the terms in the cells of both directions, (2 cells, t), N m on the output."""
-        rotor = self._angle - moved
-        angles = (rotor / self._known.angle_ratio, rotor, rotor)
-        friction, *by_angle = (
-            np.array([wave(term, angle) for term in terms]).reshape(-1, ANGLE_CELLS)
-            for terms, angle in zip(self._terms, angles, strict=True)
-        )
-        both = [np.vstack([sign * friction, *by_angle]).T for sign in (1.0, -1.0)]
-        return self._known.torque_factor * np.vstack(both)
+        """Return the terms in the passes (n, t), N m on the output."""
+        friction = self._direction[:, None] * self._friction(moved)[self._cell]
+        rotor = self._angle[self._cell] - moved
+        by_angle = [wave(term, rotor) for term in self._terms[1]]
+        by_angle += [_lagged_wave(term, rotor, self._lag) for term in self._terms[2]]
+        others = np.array(by_angle).reshape(-1, len(rotor)).T
+        return np.hstack([friction, self._known.torque_factor * others])
 
     def odds(self, moved: float) -> float:
         """Return the logarithm of the probability of o, but for what is the same for all."""
@@ -212,8 +234,7 @@ class _Search:
 
     def mean(self, moved: float) -> Array:
         """Return the torque that another zero makes of the learned friction, (cells,), N m."""
-        waves = self._waves(moved)[:ANGLE_CELLS, : len(self._terms[0])]
-        found: Array = waves @ self._hypotheses[0][0][: len(self._terms[0])]
+        found: Array = self._friction(moved) @ self._learned[: len(self._terms[0])]
         return found
 
     def likelihood(self, moved: float) -> tuple[float, Array]:
@@ -221,7 +242,7 @@ class _Search:
         hypothesis that is likelier."""
         waves = self._waves(moved)
         found = [
-            self._by_hypothesis((waves @ mean - self._subtracted)[self._row], waves @ root)[:2]
+            self._by_hypothesis(waves @ mean - self._subtracted, waves @ root)[:2]
             for mean, root in self._hypotheses
         ]
         return max(found, key=lambda one: one[0])
@@ -230,19 +251,28 @@ class _Search:
         """Return the likelihood's logarithm of the learned zero with other friction by angle, and
         root mean square N m of that friction's difference from the learned one. The search for what
         touches begins with the probabilities (n,) that nothing does, `untouched`."""
-        waves, found = self._waves(0.0), []
+        waves, friction, found = self._waves(0.0), self._friction(0.0), []
         for mean, root in self._other_friction:
-            columns, off = waves @ root, waves @ mean - self._subtracted
-            value, _, drawn = self._by_hypothesis(off[self._row], columns, untouched)
-            up, down = np.split(off + columns @ drawn, 2)
-            found.append((value, float(np.sqrt(np.mean((up - down) ** 2))) / 2))
+            off = waves @ mean - self._subtracted
+            value, _, drawn = self._by_hypothesis(off, waves @ root, untouched)
+            differs = (mean + root @ drawn - self._learned)[: friction.shape[1]]
+            found.append((value, float(np.sqrt(np.mean((friction @ differs) ** 2)))))
         return max(found)
+
+    def other_instrument(self, least: float) -> EncoderZero | None:
+        """Return the difference of other friction by angle where this is far likelier than the
+        learned one, at the learned zero, and differs by the `least` N m that counts."""
+        learned, untouched = self.likelihood(0.0)
+        other, differs = self.other_friction(untouched)
+        gained = ROW_EVIDENCE * (other - learned) + math.log(OTHER)
+        found = gained > LONG_ODDS and differs > least and self.shows(untouched)
+        return EncoderZero(0.0, 0.0, differs) if found else None
 
     def _by_hypothesis(
         self, mean: Array, columns: Array, found: Array | None = None
     ) -> tuple[float, Array, Array]:
         left, s, w = self._torque - mean, self._noise, self._touched
-        design = np.hstack([columns[self._row], self._strokes])
+        design = np.hstack([columns, self._strokes])
         prior = math.log(TOUCHED_PROBABILITY / (1 - TOUCHED_PROBABILITY))
 
         def probability(error: Array, variance: Array | float) -> Array:
@@ -274,6 +304,15 @@ class _Search:
             seen.append(free > 1 / 2)
         both = float((seen[0] & seen[1]).sum()) / np.unique(self._cell).size
         return min(parts) >= UNTOUCHED_PART and both >= SEEN_CELLS
+
+
+def _lagged_wave(term: Term, angle: Array, lag: Array) -> Array:
+    """Return a wave at angles (n,) behind a first-order lag, at steady speeds: `lag` (n,) rad is
+    the angle that passes in its time constant."""
+    later, quarter = term.order * lag, replace(term, quarter=1 - term.quarter)
+    turned = wave(quarter, angle) * (-1.0 if term.quarter else 1.0)
+    found: Array = (wave(term, angle) + later * turned) / (1 + later**2)
+    return found
 
 
 def _other_phases(

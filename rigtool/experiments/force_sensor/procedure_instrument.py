@@ -57,7 +57,7 @@ def of_this_instrument(
     """
     hand = largest_friction(model, observed)
     forms = list(zip(*(part.passes for r in read for part in r.parts), strict=True))
-    bare = unknown_friction(forms[1], hand)
+    bare = unknown_friction(forms[1], hand, given=forms[0])
     given = unknown_friction(forms[0], hand, bare.size if bare else 0.0)
     both = [one for one in (given, bare) if one]
     found = max(both, key=lambda one: one.size, default=None)

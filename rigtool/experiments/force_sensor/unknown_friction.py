@@ -18,7 +18,9 @@ Where H shows that the tables are of another instrument, all of m_d up to 2 H ma
 
 Ripple of another power-up may be found that is none, but this friction in one direction. With it
 taken off, this direction shows little, and the other twice the error. With H' < H of the torque as
-it is given, m_d of this torque counts up to 4 H - 2 H'.
+it is given, m_d of this torque counts up to 4 H - 2 H'. What ripple takes off both directions alike
+leaves (m_+ - m_-) / 2, which is the friction. Ripple that lags differs between the directions: of
+the torque before it was taken off, |h| is at most |m_+ - m_-| / 2 of the torque that is given.
 
 A load that opposes every motion alike, such as a damper, cannot be distinguished from friction.
 
@@ -77,12 +79,13 @@ swings within a pass has both signs."""
 class Passes:
     """Passes through the angle without a reversal: signs of the `direction` (p,), mean `torque` in
     each cell and its `u`, N m, (p, CELLS); NaN where a pass is not. `shares` (r,) are l of the
-    reversals under a load."""
+    reversals under a load, `speed` rad/s is the rotor's, with its sign, (p, CELLS) or of all."""
 
     direction: Array
     torque: Array
     u: Array
     shares: Array = field(default_factory=lambda: np.empty(0))
+    speed: Array | float = 0.0
 
     @classmethod
     def of(
@@ -102,7 +105,8 @@ class Passes:
         half = max(1, round(SPEED_TIME / step_time / 2))
         rows = np.arange(len(angle))
         before, after = np.maximum(rows - half, 0), np.minimum(rows + half, len(angle) - 1)
-        way = np.where(sliding, np.sign(angle[after] - angle[before]), 0.0)
+        speed = (angle[after] - angle[before]) / (np.maximum(after - before, 1) * step_time)
+        way = np.where(sliding, np.sign(speed), 0.0)
         edges = np.flatnonzero(np.diff(way, prepend=0.0, append=0.0))
         low, high = reach
         cell = np.clip((angle - low) / (high - low) * ANGLE_CELLS, 0, ANGLE_CELLS - 1).astype(
@@ -113,12 +117,13 @@ class Passes:
         for span in spans:
             own = cell[span]
             count = np.bincount(own, minlength=ANGLE_CELLS)
-            sums = [np.bincount(own, one[span], minlength=ANGLE_CELLS) for one in (torque, u)]
+            every = torque, u, speed
+            sums = [np.bincount(own, one[span], minlength=ANGLE_CELLS) for one in every]
             found.append(np.where(count > 0, sums, np.nan) / np.maximum(count, 1))
-        both = np.array(found).reshape(-1, 2, ANGLE_CELLS)
+        means = np.array(found).reshape(-1, 3, ANGLE_CELLS)
         signs = np.array([way[span.start] for span in spans])
         shares = _shares(spans, signs, torque, u, step_time)
-        return cls(signs, both[:, 0], both[:, 1], shares)
+        return cls(signs, means[:, 0], means[:, 1], shares, means[:, 2])
 
 
 @dataclass(frozen=True)
@@ -133,20 +138,28 @@ class UnknownFriction:
 
 
 def unknown_friction(
-    parts: Sequence[Passes], hand: float | None = None, bare: float = 0.0
+    parts: Sequence[Passes],
+    hand: float | None = None,
+    bare: float = 0.0,
+    given: Sequence[Passes] = (),
 ) -> UnknownFriction | None:
     """Return what the passes of stretches show; None where too few cells have both directions.
 
     Torque that drives a pass with more than `hand` N m is a hand that moves the rig, not friction.
-    `bare` N m is H of the torque from which no ripple was taken off.
+    `bare` N m is H of the torque from which no ripple was taken off; where `parts` are those of
+    that torque, `given` are the same passes of the torque that is given.
     """
-    cells = _untouched_cells(parts, hand)
-    if len(cells) < FEWEST_CELLS:
+    every = _cells(parts, hand)
+    shown = _shown(every)
+    if np.count_nonzero(shown) < FEWEST_CELLS:
         return None
-    up, down, size = cells.T
+    up, down, size = every[shown].T
     least = np.sign(up) * np.minimum(np.abs(up), np.abs(down))
-    # friction of an instrument changes along many cells, a load may touch at one
-    next_to = np.pad(np.where(up * down < 0, least, 0.0), 1, mode="edge")
+    if given:
+        apart = np.abs(np.diff(_cells(given, hand)[shown, :2])[:, 0]) / 2
+        least = np.sign(least) * np.fmin(np.abs(least), apart)
+    # friction of an instrument changes along many cells, a load may touch at one, or at an end
+    next_to = np.pad(np.where(up * down < 0, least, 0.0), 1, mode="reflect")
     opposing = np.median([next_to[:-2], next_to[1:-1], next_to[2:]], axis=0)
     whole, usual = float(np.sqrt(np.mean(opposing**2))), float(np.median(size))
     limit = 4 * max(whole, bare) - 2 * whole
@@ -181,22 +194,34 @@ def driven_part(parts: Sequence[Passes], hand: float) -> float:
 
 
 def _untouched_cells(parts: Sequence[Passes], hand: float | None) -> Array:
-    """Return torques N m of either direction that nothing touches, and u, in the cells (c, 3) whose
-    passes show them."""
+    """Return the rows of `_cells` whose passes show what nothing touches (c, 3)."""
+    every = _cells(parts, hand)
+    return every[_shown(every)]
+
+
+def _shown(every: Array) -> Mask:
+    """Return which of the cells (CELLS, 3) show what nothing touches; none where few of them do."""
+    shown = np.isfinite(every).all(axis=1)
+    enough = np.count_nonzero(shown) >= SHOWN * np.count_nonzero(np.isfinite(every[:, 2]))
+    found: Mask = shown & enough
+    return found
+
+
+def _cells(parts: Sequence[Passes], hand: float | None) -> Array:
+    """Return torques N m of either direction that nothing touches, and u, in each cell (CELLS, 3);
+    NaN where passes show none, u as well where they are too few."""
     direction = np.concatenate([part.direction for part in parts])
     torque, u = (np.vstack([getattr(part, name) for part in parts]) for name in ("torque", "u"))
     if hand is not None:
         torque = np.where(direction[:, None] * torque >= -hand, torque, np.nan)
-    found = []
-    for own, doubt in zip(torque.T, u.T, strict=True):
+    found = np.full((ANGLE_CELLS, 3), np.nan)
+    for cell, (own, doubt) in enumerate(zip(torque.T, u.T, strict=True)):
         known = np.isfinite(own)
         sides = [own[known & (direction == sign)] for sign in (1.0, -1.0)]
         if min(map(len, sides)) >= FEWEST_PASSES:
             size = float(np.median(doubt[known]))
-            found.append((*(_untouched(side, size) for side in sides), size))
-    cells = np.array(found).reshape(-1, 3)
-    finite: Array = cells[np.isfinite(cells).all(axis=1)]
-    return finite if len(finite) >= SHOWN * len(cells) else finite[:0]
+            found[cell] = *(_untouched(side, size) for side in sides), size
+    return found
 
 
 def _shares(

@@ -13,6 +13,7 @@ from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
+from rigtool.experiments.force_sensor import encoder_zero as module
 from rigtool.experiments.force_sensor.encoder_zero import _Search, encoder_zero
 from rigtool.experiments.force_sensor.unknown_friction import ANGLE_CELLS, Passes
 
@@ -31,13 +32,6 @@ def friction(angle, first=0.0, third=0.0, sixth=0.0, level=1.0):
     return level * (2e-3 + 10e-3) + waves + 0.2e-3 * np.cos(6 * output + sixth)
 
 
-def ripple(angle, waves=RIPPLE):
-    return sum(
-        value * (np.sin if quarter else np.cos)(order * angle)
-        for (order, quarter), value in waves.items()
-    )
-
-
 def model():
     terms = [Term(Kind.BEARING, 1.0), Term(Kind.HOUSING, 1.0)]
     terms += [Term(Kind.HOUSING, 1.0, order, quarter) for order in (1, 3, 6) for quarter in (0, 1)]
@@ -51,19 +45,31 @@ def model():
     return ForceModel(learned, Deviations(STROKE, 0.01, 0.1e-3, 0.15))
 
 
-def passes(rng, counts, cycles=2, waves=RIPPLE, touch=None, by_friction=friction):
+def lagged(angle, lag, waves):
+    """Ripple behind a first-order lag, at a steady speed that turns by `lag` rad in its time."""
+    found = [
+        value * np.exp(1j * order * angle) / (1 + 1j * order * lag) * (-1j if quarter else 1)
+        for (order, quarter), value in waves.items()
+    ]
+    return np.real(sum(found))
+
+
+def passes(rng, counts, cycles=2, waves=RIPPLE, touch=None, by_friction=friction, speed=0.0):
     """Passes to and fro within the learned angles, by an encoder that shows `counts` too much."""
     true, direction = ANGLE - counts * COUNT, np.tile([1.0, -1.0], cycles)
     drawn = STROKE * rng.standard_normal((len(direction), 2))
     stroke = drawn @ np.array([np.sin(true / RATIO), np.cos(true / RATIO)])
     wrong = by_friction(true) - friction(ANGLE) + stroke
-    torque = direction[:, None] * wrong + ripple(true, waves) - ripple(ANGLE)
+    torque = direction[:, None] * wrong
+    lags = direction * speed * model().learned.shape.ripple_time
+    torque += np.array([lagged(true, x, waves) - lagged(ANGLE, x, RIPPLE) for x in lags])
     torque += 0.1e-3 * rng.standard_normal(torque.shape)
     torque *= FACTOR
     if touch is not None:
         touch(torque)
     torque[:, (true < REACH[0]) | (true > REACH[1])] = np.nan
-    return Passes(direction, torque, np.full_like(torque, 0.45e-3))
+    speeds = direction[:, None] * np.full_like(torque, speed)
+    return Passes(direction, torque, np.full_like(torque, 0.45e-3), speed=speeds)
 
 
 def zero_of(*parts, hand=None):
@@ -90,6 +96,43 @@ def test_another_zero_is_found_within_its_uncertainty(seed, counts, waves):
 @given(seed=st.integers(0, 2**31), waves=st.sampled_from([RIPPLE, OTHER_RIPPLE]))
 def test_the_zero_of_the_learning_is_left_alone(seed, waves):
     assert zero_of(passes(np.random.default_rng(seed), 0, waves=waves)) is None
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"first": 1.06, "third": 0.03, "sixth": 1.14},
+        {"first": 1.09, "third": -0.7, "sixth": 0.79},
+    ],
+)
+def test_friction_of_another_instrument_is_found_where_no_zero_explains_it(monkeypatch, other):
+    own = passes(
+        np.random.default_rng(4), 0, cycles=4, by_friction=functools.partial(friction, **other)
+    )
+    found = zero_of(own)
+    assert found.moved == 0
+    left = FACTOR * (friction(ANGLE, **other) - friction(ANGLE))
+    assert found.spread == pytest.approx(np.sqrt(np.mean(left**2)), rel=0.15)
+    with monkeypatch.context() as patch:
+        patch.setattr(_Search, "shows", lambda self, untouched: False)
+        assert zero_of(own) is None
+    for times, expected in ((2.9, True), (3.1, False)):  # from a third of u on
+        own.u[:] = times * found.spread
+        assert (zero_of(own) is not None) == expected
+    own.u[:] = found.spread
+    monkeypatch.setattr(module, "LONG_ODDS", 1e3)
+    assert zero_of(own) is None
+
+
+@pytest.mark.parametrize("counts", [0, -300])
+def test_ripple_lags_at_the_speed_of_a_pass(counts):
+    """It differs between the directions then, as friction by angle does."""
+    own = passes(np.random.default_rng(1), counts, waves=OTHER_RIPPLE, speed=20.0)
+    found = [
+        _Search(model(), REACH, own.direction, own.torque, speed).likelihood(counts * COUNT)[0]
+        for speed in (own.speed, 0 * own.speed)
+    ]
+    assert found[0] > found[1] + 8
 
 
 @pytest.mark.parametrize(
@@ -173,7 +216,7 @@ def test_another_zero_is_taken_at_long_odds_only(monkeypatch, log_odds, learned,
     place = 300 * COUNT
 
     class Passed:
-        def __init__(self, model, reach, direction, torque):
+        def __init__(self, model, reach, direction, torque, speed):
             self.part = learned if np.isnan(torque).any() else 1.0
 
         def odds(self, moved):
@@ -191,6 +234,9 @@ def test_another_zero_is_taken_at_long_odds_only(monkeypatch, log_odds, learned,
         def other_friction(self, untouched):
             return -math.inf, 0.0
 
+        def other_instrument(self, least):
+            return None
+
         def mean(self, moved):
             return np.zeros(4)
 
@@ -204,8 +250,8 @@ def test_what_passes_scatter_by_is_that_of_drawn_terms(again, anew):
     """By the learned covariance; of another power-up and of another instrument, the waves have
     drawn phases besides, and the latter's friction another level."""
     rng, count, moved = np.random.default_rng(5), 8000, 0.3
-    own = passes(rng, 0)
-    search = _Search(model(), REACH, own.direction, own.torque)
+    own = passes(rng, 0, cycles=1, speed=20.0)
+    search = _Search(model(), REACH, own.direction, own.torque, own.speed)
     hypotheses = search._other_friction if anew else search._hypotheses
     mean, root = hypotheses[0 if again else 1]
     waves = search._waves(moved)
@@ -223,7 +269,7 @@ def test_what_passes_scatter_by_is_that_of_drawn_terms(again, anew):
     functions = [np.ones(ANGLE_CELLS), np.ones(ANGLE_CELLS)]
     functions += [way(n * angle / RATIO) for n in (1, 3, 6) for way in (np.cos, np.sin)]
     both = [
-        [*(way * one for one in functions), *(ripple(angle, {key: 1.0}) for key in RIPPLE)]
+        [*(way * one for one in functions), *(lagged(angle, way * 0.6, {k: 1.0}) for k in RIPPLE)]
         for way in (1.0, -1.0)
     ]
     torques = FACTOR * drawn @ np.concatenate(both, axis=1)

@@ -38,7 +38,7 @@ def search():
     torque = own.torque.copy()
     torque[1, 4:9] += 8e-3
     torque[0, :2] = np.nan
-    return _Search(model(), REACH, own.direction, torque)
+    return _Search(model(), REACH, own.direction, torque, 0 * torque)
 
 
 def test_noise_and_touch_are_parts_of_the_stroke_and_of_the_friction(search):
@@ -61,13 +61,11 @@ def test_what_touches_is_found_by_expectation_and_maximisation(search, moved):
     """The value is the bound: the density of normal errors, and what is unlike the posterior."""
     mean, root = search._hypotheses[1]
     waves = search._waves(moved)
-    off, columns = (waves @ mean - search._subtracted)[search._row], waves @ root
-    value, untouched, terms = search._by_hypothesis(
-        (waves @ mean - search._subtracted)[search._row], columns
-    )
+    off, columns = waves @ mean - search._subtracted, waves @ root
+    value, untouched, terms = search._by_hypothesis(off, columns)
     s, w = search._noise, search._touched
     left = search._torque - off
-    design = np.hstack([columns[search._row], search._strokes])
+    design = np.hstack([columns, search._strokes])
 
     def posterior(error, deviation):
         free = (1 - TOUCHED_PROBABILITY) * stats.norm.pdf(error, scale=deviation)
@@ -96,7 +94,7 @@ def test_the_likelier_hypothesis_counts(search):
     found = []
     for mean, root in search._hypotheses:
         waves = search._waves(0.1)
-        off = (waves @ mean - search._subtracted)[search._row]
+        off = waves @ mean - search._subtracted
         found.append(search._by_hypothesis(off, waves @ root)[0])
     assert found[0] != pytest.approx(found[1])
     assert search.likelihood(0.1)[0] == max(found)
@@ -128,7 +126,7 @@ def test_the_torque_of_another_zero_is_that_of_the_friction_in_one_direction(sea
 def test_both_directions_need_passes_that_nothing_touches(free, other, shown):
     """45 % of them; cells are seen where one pass is likely free."""
     direction = np.repeat([1.0, -1.0], 10)
-    own = _Search(model(), REACH, direction, np.zeros((20, ANGLE_CELLS)))
+    own = _Search(model(), REACH, direction, *np.zeros((2, 20, ANGLE_CELLS)))
     side = own._direction > 0
     untouched = np.where(side, free, other)
     assert own.shows(untouched) == shown
@@ -138,7 +136,7 @@ def test_both_directions_need_passes_that_nothing_touches(free, other, shown):
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_four_cells_in_five_are_seen_in_both_directions(share, shown, sign):
     direction = np.repeat([1.0, -1.0], 3)
-    own = _Search(model(), REACH, direction, np.zeros((6, ANGLE_CELLS)))
+    own = _Search(model(), REACH, direction, *np.zeros((2, 6, ANGLE_CELLS)))
     hidden = (own._cell >= share * ANGLE_CELLS) & (own._direction == sign)
     assert own.shows(np.where(hidden, 0.1, 1.0)) == shown
 
@@ -159,7 +157,7 @@ class Given:
 
     place, spread, height, taken = 0.401, 0.02, 60.0, None
 
-    def __init__(self, own, reach, direction, torque):
+    def __init__(self, own, reach, direction, torque, speed):
         type(self).taken = direction, torque
 
     def odds(self, moved):
@@ -176,6 +174,9 @@ class Given:
 
     def other_friction(self, untouched):
         return -math.inf, 0.0
+
+    def other_instrument(self, least):
+        return None
 
     def mean(self, moved):
         return np.full(4, 5e-3 * moved)
@@ -242,7 +243,7 @@ def test_what_touches_is_searched_for_from_what_is_given(search):
     touched = np.full(len(search._torque), 1e-6)
     waves, found = search._waves(0.0), []
     for mean, root in search._other_friction:
-        off = (waves @ mean - search._subtracted)[search._row]
+        off = waves @ mean - search._subtracted
         found.append(search._by_hypothesis(off, waves @ root, touched)[0])
         assert found[-1] != search._by_hypothesis(off, waves @ root)[0]
     assert search.other_friction(touched)[0] == max(found)

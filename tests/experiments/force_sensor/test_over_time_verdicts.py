@@ -50,8 +50,9 @@ def judged(monkeypatch, forms, share=0.0, zero=None, observed=False):
     """Return by how much u is widened, notes, and the hands that passes were looked at with."""
     seen, hands = [], []
 
-    def unknown(form, hand, bare=0.0):
+    def unknown(form, hand, bare=0.0, given=()):
         hands.append(hand)
+        assert given == (() if form[0] == "with" else ("with",))
         if form[0] == "with":
             assert bare == (forms["without"].size if forms["without"] else 0.0)
         return forms[form[0]]

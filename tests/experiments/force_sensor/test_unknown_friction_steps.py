@@ -127,13 +127,14 @@ def cells(up, down, u, passes=3):
 
 
 def test_friction_is_what_opposes_both_directions():
-    """Sizes from the median of three cells beside each other: a load may touch at one."""
+    """Sizes from the median of three cells beside each other: a load may touch at one, or at an
+    end."""
     up, down = np.full(ANGLE_CELLS, 3e-3), np.full(ANGLE_CELLS, -2e-3)
-    up[7], down[7] = 50e-3, -50e-3
+    up[[0, 7, 23]], down[[0, 7, 23]] = 50e-3, -50e-3
     up[12:16] = -1e-3  # a load of one sign
     u = np.where(np.arange(ANGLE_CELLS) < 12, 0.5e-3, 1e-3)
     least = np.where(up * down < 0, np.minimum(abs(up), abs(down)), 0.0)
-    smooth = [np.median(least[[max(k - 1, 0), k, min(k + 1, 23)]]) for k in range(24)]
+    smooth = [np.median(least[[abs(k - 1), k, 23 - abs(22 - k)]]) for k in range(24)]
     found = unknown_friction([cells(up, down, u)])
     size = math.sqrt(np.mean(np.square(smooth)))
     assert found.size == pytest.approx(size)
@@ -149,6 +150,20 @@ def test_friction_is_what_opposes_both_directions():
     # tables that hold too much drive every pass
     turned = unknown_friction([cells(-up, -down, u)])
     assert turned == found
+
+
+def test_ripple_that_lags_is_no_friction():
+    """Where the torque that is given differs less between the directions, ripple was taken off;
+    where it shows nothing, and of friction that ripple hides in one direction, all counts."""
+    up, down = np.full(ANGLE_CELLS, 3e-3), np.full(ANGLE_CELLS, -2e-3)
+    for own in (cells(up, down, 1e-3), cells(-up, -down, 1e-3)):
+        found = unknown_friction([own], given=[cells(up - 2.6e-3, down + 2.2e-3, 1e-3)])
+        assert found.size == pytest.approx(0.1e-3)
+        assert found.widening == pytest.approx(0.2e-3)
+        assert found.typical == pytest.approx(0.1)
+        whole = unknown_friction([own])
+        assert unknown_friction([own], given=[cells(0 * up, down - 3e-3, 1e-3)]) == whole
+        assert unknown_friction([own], given=[cells(up, down, 1e-3, passes=1)]) == whole
 
 
 def test_cells_without_two_passes_of_each_direction_show_nothing():
