@@ -14,7 +14,7 @@ FIXTURES = RECIPE.parents[1] / "tests" / "fixtures"
         (["--record", "5", "--observe", "5"], 2, "give one of them"),
         (["--record", "0"], 2, "x>0"),
         (["--record", "-3"], 2, "x>0"),
-        (["--record", "nan"], 2, "nan s cannot be recorded"),
+        (["--record", "nan"], 2, "nan is not a finite number"),
         (["--record", "1e9"], 2, "time_max = 3600 s"),
         (["--record", "5", "--correction", "full"], 2, "leave it out"),
         (["--observe", "x"], 2, "not a valid number"),
