@@ -8,7 +8,7 @@ import numpy as np
 
 from rigtool.control.plant_models import PlantModel
 from rigtool.control.position_loop import Loop, TransferFunction, position_loop
-from rigtool.errors import InsufficientDataError, RunFileError, UsageError
+from rigtool.errors import InsufficientDataError, RecipeError, RunFileError, UsageError
 from rigtool.experiments.learning.filters import Convergence, Inverse, Learning, convergence, zpetc
 from rigtool.experiments.learning.measured_loop import InverseResponse, MeasuredLoop
 from rigtool.quantity import Quantity
@@ -111,9 +111,16 @@ def design_filters(recipe: Recipe, plant: Run | None = None) -> FilterDesign:
 
     Without `plant` it is the nominal inertia. `ilc_learn.learning_filter` selects L. Raises
     `InsufficientDataError` where the loop is unstable or learning would not converge, `UsageError`
-    where L needs a plant that is not given, `RunFileError` where the plant is that of another rig.
+    where L needs a plant that is not given, `RunFileError` where the plant is that of another rig,
+    `RecipeError` where the cut-off of Q is not below half the sampling rate.
     """
     settings, rig = recipe.ilc_learn, recipe.rig
+    nyquist = 0.5 / rig.sample_time
+    if settings.robustness_hz >= nyquist:
+        raise RecipeError(
+            f"ilc_learn.robustness_hz {settings.robustness_hz:g} Hz reaches half the sampling rate, "
+            f"{nyquist:g} Hz: lower it"
+        )
     nominal = position_loop(**rig.loop_design)
     measured = None if plant is None else measured_loop(plant, recipe, nominal.controller)
     loop = nominal if measured is None else measured.loop
@@ -133,7 +140,6 @@ def design_filters(recipe: Recipe, plant: Run | None = None) -> FilterDesign:
         factor=settings.learning_factor,
         measured=measured,
     )
-    nyquist = 0.5 / rig.sample_time
     frequency = np.concatenate(
         [[0.0], np.geomspace(nyquist * LOWEST_FREQUENCY, nyquist, FREQUENCY_POINTS - 1)]
     )

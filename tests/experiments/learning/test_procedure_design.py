@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rigtool.errors import InsufficientDataError, RunFileError, UsageError
+from rigtool.errors import InsufficientDataError, RecipeError, RunFileError, UsageError
 from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
 from rigtool.experiments.learning.procedure_design import design_filters
 from rigtool.experiments.plant.procedure import PROCEDURE as IDENTIFY_PLANT
@@ -130,6 +130,11 @@ def test_learning_beyond_what_the_plant_carries_is_refused(plant):
     with pytest.raises(InsufficientDataError, match="over the uncertainty of the measured plant"):
         design_filters(recipe("ilc_learn.robustness_hz=3000"), plant)
     design_filters(recipe("ilc_learn.robustness_hz=3000"))
+
+
+def test_a_cut_off_that_no_sample_shows_is_refused():
+    with pytest.raises(RecipeError, match="4000 Hz reaches half the sampling rate"):
+        design_filters(recipe("ilc_learn.robustness_hz=4000"))
 
 
 def test_a_controller_that_is_unstable_with_the_measured_plant_is_refused(plant):
