@@ -314,6 +314,13 @@ def test_a_run_of_one_implementation_is_not_analysed_as_another(asked, name):
         ilc_learn.of_stored(asked).analyse([SimpleNamespace(path="c.h5")], recipe, kt=None)
 
 
+def test_a_run_of_an_implementation_is_analysed_with_all_that_was_given(monkeypatch):
+    given = {"kt": object(), "friction": object(), "plant": None}
+    monkeypatch.setattr(ilc_learn, "analyse", lambda runs, recipe, **inputs: (runs, inputs))
+    recipe, _ = load_recipe(RECIPE, ["ilc_learn.implementation=B"])
+    assert ilc_learn.of_stored("B").analyse(["run"], recipe, **given) == (["run"], given)
+
+
 @pytest.mark.parametrize("name", get_args(IlcLearn.model_fields["implementation"].annotation))
 def test_d_alone_learns_from_imported_runs_with_known_loads(name):
     """Others make a map of the turn from them."""
