@@ -251,6 +251,8 @@ def test_what_is_subtracted_is_as_a_drive_that_has_less(recording):
             part = estimate._part(own, STEP * first + (first > 0), STEP * last + 1)
             taken = None if subtracted is None else subtracted[first:last]
             passed = causal.add(part, less=taken)
+            assert passed.idle.dtype == bool
+            assert not passed.idle.any()
             later = again.add(part, passed, less=taken, last=last == 2000)
             found.append((passed.outputs, later.outputs))
     for one, other in zip(found[:2], found[2:], strict=True):
