@@ -221,7 +221,7 @@ fixtures: $(INSTALLED)
 references: $(INSTALLED)
 	$(BIN)/python -m tests.fixtures.make --analyse
 	rm -f tests/fixtures/outcomes.json
-	STORE_OUTCOMES=1 $(BIN)/python -m pytest -q -n 0 $$(grep -rl require_unchanged tests/experiments)
+	STORE_OUTCOMES=1 $(BIN)/python -m pytest -q -n 0 $$(grep -rl --include=test_*.py require_unchanged tests)
 
 bench: $(INSTALLED)
 	$(BIN)/python benchmarks/bench.py
