@@ -220,7 +220,8 @@ fixtures: $(INSTALLED)
 
 references: $(INSTALLED)
 	$(BIN)/python -m tests.fixtures.make --analyse
-	STORE_OUTCOMES=1 $(BIN)/python -m pytest -q -n 0 tests/experiments
+	rm -f tests/fixtures/outcomes.json
+	STORE_OUTCOMES=1 $(BIN)/python -m pytest -q -n 0 $$(grep -rl --include=test_*.py require_unchanged tests)
 
 bench: $(INSTALLED)
 	$(BIN)/python benchmarks/bench.py

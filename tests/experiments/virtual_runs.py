@@ -55,4 +55,6 @@ def run(procedure, source, output, *overrides, seed=None, **inputs):
     options = CommonOptions(overwrite=True, seed=seed, overrides=overrides)
     with ExitStack() as stack:
         opened = {name: stack.enter_context(open_run(path)) for name, path in inputs.items()}
-        return run_command(procedure, [str(source)], str(output), options=options, inputs=opened)
+        outcome = run_command(procedure, [str(source)], str(output), options=options, inputs=opened)
+    object.__setattr__(outcome, "path", output)  # where its signals are
+    return outcome

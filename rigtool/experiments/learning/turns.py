@@ -65,15 +65,11 @@ def by_angle(turns: Moves, signals: Array, positions: int) -> Array:
 
     Orders below half the number of angles pass; between samples they are exact.
     """
-    orders = np.fft.rfft(signals, axis=-1) / signals.shape[-1]
-    wanted = positions // 2 + 1
-    if orders.shape[-1] < wanted:
-        padding = [(0, 0)] * (orders.ndim - 1) + [(0, wanted - orders.shape[-1])]
-        orders = np.pad(orders, padding)
-    orders = orders[..., :wanted].astype(np.complex128, copy=False)
+    orders = np.fft.rfft(signals, axis=-1)
     if turns.setpoint[-1] < 0:
         orders = np.conj(orders)  # time runs against the angle
-    return np.fft.irfft(orders * positions, positions, axis=-1).astype(np.float64)
+    angles: Array = np.fft.irfft(orders, positions, axis=-1)  # more or fewer orders, as needed
+    return angles * (positions / signals.shape[-1])
 
 
 def turn_angles(positions: int) -> Array:

@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import butter, sosfilt, sosfiltfilt
 
 from rigtool.experiments.force_filter import estimate
-from rigtool.experiments.force_filter.estimate import Filter, Signals, smoothed
+from rigtool.experiments.force_filter.estimate import Again, Filter, Signals, smoothed
 from rigtool.experiments.force_filter.plant import (
     ANGLE,
     BRISTLE,
@@ -235,6 +235,30 @@ def test_without_motion_the_friction_of_an_unknown_history_stays_in_the_uncertai
     assert abs(found.torque[-1]) < 20e-3
     assert np.isfinite(found.states).all()
     assert abs(found.states[-1, GRASPER]) < 0.2
+
+
+def test_what_is_subtracted_is_as_a_drive_that_has_less(recording):
+    """In both filters, whatever the blocks are."""
+    signals = estimate._part(recording[0], 0, 2000 * STEP + 1)
+    less = 2e-3 * np.sin(np.arange(2000) / 50)
+    drive = signals.drive_torque.copy()
+    drive[:-1] -= np.repeat(less, STEP)
+    found = []
+    for own, subtracted in ((signals, less), (replace(signals, drive_torque=drive), None)):
+        causal = Filter(PLANT, UNCERTAINTY, STEP, BAND)
+        again = Again(PLANT, UNCERTAINTY, STEP, BAND)
+        for first, last in ((0, 700), (700, 2000)):
+            part = estimate._part(own, STEP * first + (first > 0), STEP * last + 1)
+            taken = None if subtracted is None else subtracted[first:last]
+            passed = causal.add(part, less=taken)
+            assert passed.idle.dtype == bool
+            assert not passed.idle.any()
+            later = again.add(part, passed, less=taken, last=last == 2000)
+            found.append((passed.outputs, later.outputs))
+    for one, other in zip(found[:2], found[2:], strict=True):
+        for mine, expected in zip(one, other, strict=True):
+            assert len(mine) > 500
+            np.testing.assert_allclose(mine, expected, rtol=1e-9, atol=1e-12)
 
 
 def test_less_than_a_step_gives_nothing():

@@ -1,6 +1,7 @@
 """A row of the torque against the equations of its filters, written with vectors and densities."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from rigtool.experiments.force_sensor.lasting_contact import (
     normal,
     weighed,
 )
-from rigtool.experiments.force_sensor.shown_ripple import LARGEST_SHOWN, show
+from rigtool.experiments.force_sensor.shown_ripple import LARGEST_SHOWN, show, turned_inertia
 
 COUNT = rows.WAVE_COUNT
 SIZE, TIME = 0.4e-3, 0.019
@@ -434,3 +435,16 @@ def test_held_or_runaway_waves_follow_in_a_set_time(why):
     assert_allclose(s["seen"], expected)
     for name in ("angle", "speed", "housing"):
         assert not s[name].any()
+
+
+def test_what_turns_with_the_rotor_has_its_inertia_by_energy():
+    """A torque that accelerates the rotor carries the output along: by the ratio of the angles in
+    its acceleration, by that of the torques in the torque that it takes."""
+    rotor, output, ratio, factor = 2e-5, 3e-4, 0.7, 1.5
+    acceleration = 40.0
+    carried = output * acceleration / ratio  # at the output
+    own = SimpleNamespace(
+        inertia=rotor, grasper_inertia=output, angle_ratio=ratio, torque_factor=factor
+    )
+    expected = rotor * acceleration + carried / factor
+    assert turned_inertia(own) * acceleration == pytest.approx(expected, rel=1e-12)

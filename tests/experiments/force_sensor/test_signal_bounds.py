@@ -121,6 +121,8 @@ def test_a_current_is_looked_at_that_stays_for_a_second_of_fifty_counts(stays, c
         assert f"stays at {current[np.argmax(part[0] <= TIME)]:.6g} A" in fault.text
         moved = float(re.search(r"moves by (\d+) counts", fault.text)[1])
         assert moved == pytest.approx(counts, abs=5)
+        first, last = (round(time / INTERVAL) for time in (fault.start, fault.end))
+        assert moved == np.ptp(encoder[first:last])
         assert "0 % of the other time" in fault.text
         assert fault.no_value
 

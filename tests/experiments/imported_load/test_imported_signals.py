@@ -94,3 +94,14 @@ def test_a_current_that_stays_at_a_value_for_long_is_stuck():
     found = at_limit(effort)
     assert found[2000:2500].all()
     assert found.sum() < 510
+
+
+@pytest.mark.parametrize("by", [0.3, -2.0])
+def test_a_path_with_another_zero_is_that_of_positions_with_it(by):
+    channels = recorded()
+    moved = read(**channels).path.moved(by)
+    expected = read(**channels | {"position": channels["position"] + by}).path
+    for name, values in vars(expected).items():
+        if isinstance(values, np.ndarray):
+            size = np.abs(values).max()
+            np.testing.assert_allclose(getattr(moved, name), values, atol=1e-6 * size, err_msg=name)

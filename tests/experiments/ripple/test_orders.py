@@ -51,6 +51,21 @@ def lay_over(time, turns, torque, revolutions, positions):
     return collected.waveforms(revolutions)
 
 
+def test_the_rms_of_orders_has_what_the_u_of_each_changes():
+    amplitude, floor = np.array([3e-3, 1e-3, 4e-4]), np.array([2e-4, 3e-4, 1e-4])
+    own = Spectrum(np.arange(1.0, 4), amplitude, np.zeros(3), floor)
+    rms, u = own.rms()
+    assert rms == pytest.approx(math.sqrt(np.sum(amplitude**2) / 2))
+    changes = []
+    for number, by in enumerate(own.u):
+        changed = amplitude.copy()
+        changed[number] += 1e-4 * by
+        other = Spectrum(own.order, changed, own.phase, floor).rms()[0]
+        changes.append((other - rms) / 1e-4)
+    assert u == pytest.approx(np.linalg.norm(changes), rel=1e-3)
+    assert Spectrum(own.order, 0 * amplitude, own.phase, floor).rms() == (0.0, 0.0)
+
+
 def test_orders_are_there_up_to_the_highest_that_samples_resolve():
     sampling = Sampling(0.05)
     assert sampling.highest_order == 8.0
