@@ -14,6 +14,7 @@ from rigtool.experiments.ripple.orders import (
     Ripple,
     RippleComparison,
     Spectrum,
+    coefficients,
     spectrum,
 )
 from rigtool.experiments.ripple.shared_scatter import shared_floor
@@ -118,11 +119,14 @@ def _spectrum(ripple: Ripple, recipe: Recipe, turns_per_s: float) -> tuple[Spect
     floor, dof = shared_floor(asked.order, asked.noise_floor, 2 * (len(ripple.waveforms) - 1))
     loop = _loop(recipe, asked.order * turns_per_s)
     gain = np.where(np.abs(loop) >= LOWEST_FOLLOWED, np.abs(loop), np.nan)
-    resolved = np.nan_to_num(asked.amplitude * np.exp(1j * asked.phase))
-    found = alone = resolved / loop
+    found = alone = np.nan_to_num(asked.amplitude * np.exp(1j * asked.phase)) / loop
     if ripple.elapsed is not None:
-        followed = loop * np.maximum(1.0, LOWEST_FOLLOWED / np.abs(loop))
-        found = motor_orders(resolved, followed, ripple.elapsed)
+        # A varying speed spreads what the loop asks for over all orders that the cells carry.
+        every = (ripple.waveforms.shape[1] - 1) // 2
+        resolved = coefficients(ripple.waveforms, every, ripple.sampling).mean(axis=0)
+        followed = _loop(recipe, np.arange(1.0, every + 1) * turns_per_s)
+        followed *= np.maximum(1.0, LOWEST_FOLLOWED / np.abs(followed))
+        found = motor_orders(resolved, followed, ripple.elapsed)[: len(alone)]
     floor = floor / gain
     if ripple.steps is not None:
         plant = position_loop(**recipe.rig.loop_design).plant
