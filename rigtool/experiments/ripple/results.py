@@ -31,8 +31,8 @@ INERTIA_U = 0.1 / math.sqrt(3)
 """Relative standard uncertainty of an inertia from data sheets: at most a tenth off."""
 
 VARYING_LIMIT = 0.05
-"""Relative standard deviation of the speed around the turn without a note: beyond it, 36 of 449
-amplitudes of drawn rigs were off by more than 3.5 u, below 22 of 1376."""
+"""Relative standard deviation of the speed around the turn without a note: friction that changes
+with the speed is then an order of some per cent of it."""
 
 FOLLOWED_HARMONICS = 2
 """Harmonics of the encoder's steps whose alias the loop may follow: higher ones are weaker."""
@@ -62,9 +62,9 @@ def varying_note(recordings: Sequence[Recording], ripples: Sequence[Ripple]) -> 
         return []
     return [
         f"{recordings[worst].name}: ripple varies the speed by {100 * varying[worst]:.0f} % around "
-        f"the turn (limit {100 * VARYING_LIMIT:.0f} %): amplitudes are those of this motion, weak "
-        "orders beside strong ones are less certain than their u, and friction that changes with "
-        "the speed is part of them; take a stiffer controller"
+        f"the turn (limit {100 * VARYING_LIMIT:.0f} %): amplitudes are those of this motion, and "
+        "friction that changes with the speed, and a ripple's lag behind its angle, are part of "
+        "them; take a stiffer controller for those of an even speed"
     ]
 
 
