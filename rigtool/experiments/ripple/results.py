@@ -112,7 +112,7 @@ def _spectrum(ripple: Ripple, recipe: Recipe, turns_per_s: float) -> tuple[Spect
     u of their amplitudes by T.
 
     T has the relative error |1 - T| times that of the inertia; what the varying speed changes has
-    that of the inertia. An error of the angle is one of the torque by 1/P, with P the plant.
+    that of the inertia. The encoder's steps are part of the noise floor.
     """
     asked = spectrum(ripple, HIGHEST_ORDER)
     # Both parts of a coefficient scatter.
@@ -130,8 +130,10 @@ def _spectrum(ripple: Ripple, recipe: Recipe, turns_per_s: float) -> tuple[Spect
     floor = floor / gain
     if ripple.steps is not None:
         plant = position_loop(**recipe.rig.loop_design).plant
-        steps = np.maximum(ripple.steps, _followed_steps(recipe, turns_per_s))
-        whole = np.hypot(floor, steps / np.abs(plant.response(asked.order * turns_per_s)))
+        moved = _followed_steps(recipe, turns_per_s) / np.abs(
+            plant.response(asked.order * turns_per_s)
+        )
+        whole = np.hypot(floor, np.maximum(ripple.steps / gain, moved))
         with np.errstate(divide="ignore", invalid="ignore"):
             dof = dof * (whole / floor) ** 4  # Welch and Satterthwaite
         floor = whole

@@ -196,8 +196,8 @@ def test_a_varying_speed_may_spread_ripple_beyond_the_orders_of_the_table():
     assert np.delete(found, 89).max() < 0.02e-3
 
 
-def test_steps_of_the_encoder_are_part_of_the_floor_by_the_plant():
-    """An angle of q at order k is a torque of J (2 pi f)^2 q."""
+def test_steps_of_the_encoder_are_part_of_the_floor_with_t_taken_off():
+    """Twice what scatter shows in what the loop asks for."""
     recipe, _ = load_recipe(RECIPE, ())
     made, speed = ripple({3: 1e-3}, 12, noise=1e-5), 3.0
     slow = SimpleNamespace(name="0", condition=lambda name: speed)
@@ -209,9 +209,8 @@ def test_steps_of_the_encoder_are_part_of_the_floor_by_the_plant():
         ]
 
     without = table(made)
-    per_angle = recipe.rig.nominal_inertia * (np.arange(1, HIGHEST_ORDER + 1) * speed) ** 2
     floor = without["noise_floor"][0]
-    shown = table(replace(made, steps=2 * floor / per_angle))
+    shown = table(replace(made, steps=2 * floor * without["loop_gain"][0]))
     np.testing.assert_allclose(shown["noise_floor"][0], math.sqrt(5) * floor, rtol=1e-3)
     # scatter is a fifth of the variance: of the floor alone, 25 times its degrees of freedom
     assert shown["dof"][0, 79] == pytest.approx(25 * without["dof"][0, 79], rel=0.03)
