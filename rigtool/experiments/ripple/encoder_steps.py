@@ -2,51 +2,67 @@
 
 A loop samples an angle that its encoder rounds down to whole steps. The error of a sample is
 
-    q = step (floor(angle/step) + 1/2) - angle.
+    q = step (floor(angle/step) + 1/2) - angle,
 
-Where the rotor makes more than half a step from one sample to the next, edges of the steps are an
-alias of a lower frequency (B. Widrow, I. Kollar, Quantization Noise, 2008, ch. 20). Ripple moves
-the angle by some steps to and fro, which spreads the alias over whole orders of the turn.
+which the controller answers with the torque (T/P) q. Where the rotor makes more than half a step
+from one sample to the next, edges of the steps are an alias of a lower frequency (B. Widrow, I.
+Kollar, Quantization Noise, 2008, ch. 20); ripple moves the angle by some steps to and fro, which
+spreads the alias over whole orders of the turn. What is recorded of this torque and of the encoder
+passes the analysis as the motor's ripple does.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from rigtool.control.position_loop import Loop
+from rigtool.experiments.ripple.orders import Sampling, coefficients
+from rigtool.experiments.ripple.revolutions import Revolutions
 from rigtool.numerics.arrays import Array
 
 MOTION_ORDERS = 30
 """Orders of the turn up to which the motion is taken: the inertia holds higher ones."""
 
-PHASES = (0.0, 0.25, 0.5, 0.75)
-"""Where the zero of the angle lies within a step: not known, so that all of these count."""
+PHASES = (0.0, 0.25)
+"""Where the zero of the angle lies within a step: not known, so that both count."""
 
 
 def step_orders(
-    passed: Array, revolutions: int, counts: int, sample_time: float, orders: int
+    passed: Array, revolutions: int, counts: int, loop: Loop, averaged: int, orders: int
 ) -> Array:
-    """Return the rms amplitudes, rad, of orders 1..`orders` of the turn in q, (orders,).
+    """Return the rms amplitudes, N m, that the loop answers the steps with, at orders 1..`orders`.
 
     `passed` (n + 1,) is when the rotor passes the edges of n equal cells, those of `revolutions`
-    whole turns, s; the loop takes a sample each `sample_time`, s.
+    whole turns, s. A recorded sample is the mean of `averaged` ones of the loop. Zero where edges
+    come more slowly than half the rate of recorded samples, which resolve them.
     """
-    cells = (passed.size - 1) // revolutions
+    cells, sample_time = (passed.size - 1) // revolutions, loop.plant.sample_time
+    per_sample = counts * revolutions / (passed[-1] - passed[0]) * sample_time
+    if per_sample * averaged < 0.5:
+        return np.zeros(orders)
     time = _smooth(passed, MOTION_ORDERS * revolutions)
-    turns = np.arange(time.size) / cells
-    sums, samples = np.zeros((len(PHASES), cells)), 0
-    # In parts, as many turns may have millions of samples.
-    for begin in range(revolutions):
-        since = np.interp([begin, begin + 1], turns, time) - time[0]
-        first, stop = np.ceil(since / sample_time)
-        angle = np.interp(time[0] + np.arange(first, stop) * sample_time, time, turns)
-        cell = ((angle % 1.0) * cells).astype(np.intp)
-        samples += angle.size
-        for phase, total in zip(PHASES, sums, strict=True):
-            place = angle * counts + phase
-            error = np.floor(place) + 0.5 - place
-            total += np.bincount(cell, error, cells)
-    found = np.fft.rfft(sums, axis=1)[:, 1 : orders + 1] * (2 / max(samples, 1))
-    rms: Array = np.sqrt(np.mean(np.abs(found) ** 2, axis=0)) * (2 * np.pi / counts)
+    # A turn more on both sides, so that all turns are whole.
+    first, last = time[cells] - time[0], time[-1] - time[-1 - cells]
+    time = np.concatenate([time[:cells] - first, time, time[-cells:] + last])
+    sampled = np.arange(time[0], time[-1], sample_time)
+    sampled = sampled[: sampled.size // averaged * averaged]
+    angle = np.interp(sampled, time, np.arange(time.size) / cells)
+    frequency: Array = np.fft.rfftfreq(angle.size, sample_time)[1:].astype(np.float64)
+    answer = loop.complementary_sensitivity.response(frequency) / loop.plant.response(frequency)
+    power = np.zeros(orders)
+    for phase in PHASES:
+        place = angle * counts + phase
+        count = np.floor(place)
+        error = np.fft.rfft(count + 0.5 - place) * (2 * np.pi / counts)
+        torque = np.fft.irfft(np.concatenate([[0.0], error[1:] * answer]), angle.size)
+        recorded = Revolutions(cells, forward=True)
+        recorded.add(
+            *(each.reshape(-1, averaged).mean(axis=1) for each in (sampled, count / counts, torque))
+        )
+        sampling = Sampling(recorded.step, averaged)
+        found = coefficients(recorded.waveforms(revolutions), orders, sampling).mean(axis=0)
+        power += np.abs(found) ** 2 / len(PHASES)
+    rms: Array = np.sqrt(power)
     return rms
 
 

@@ -109,7 +109,7 @@ class Ripple:
 
     `sampling` is that of the samples in the waveforms; `elapsed` (positions + 1,) when the rotor
     passes the edges of the cells, from 0 to 1 of the time of a turn, None at constant speed;
-    `steps` (m,) the amplitudes, rad, that the encoder's steps show at orders 1..m of its angle.
+    `steps` (m,) the amplitudes, N m, that the loop answers the encoder's steps with at orders 1..m.
     """
 
     waveforms: Array

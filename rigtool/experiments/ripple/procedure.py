@@ -14,6 +14,7 @@ from itertools import zip_longest
 
 import numpy as np
 
+from rigtool.control.position_loop import position_loop
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.between_set_points import unsampled_note
 from rigtool.experiments.controller_torque import (
@@ -275,7 +276,8 @@ def _collected(
             revolutions.passed(settings.revolutions),
             settings.revolutions,
             recipe.rig.encoder_counts,
-            recipe.rig.sample_time,
+            position_loop(**recipe.rig.loop_design),
+            settings.record_every,
             HIGHEST_ORDER,
         )
     return _Collected(waveforms, elapsed, steps, last > first, sampling, *revolutions.turns())

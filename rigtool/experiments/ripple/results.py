@@ -14,6 +14,7 @@ from rigtool.experiments.ripple.orders import (
     Ripple,
     RippleComparison,
     Spectrum,
+    coefficients,
     spectrum,
 )
 from rigtool.experiments.ripple.shared_scatter import shared_floor
@@ -30,8 +31,8 @@ INERTIA_U = 0.1 / math.sqrt(3)
 """Relative standard uncertainty of an inertia from data sheets: at most a tenth off."""
 
 VARYING_LIMIT = 0.05
-"""Relative standard deviation of the speed around the turn without a note: beyond it, 36 of 449
-amplitudes of drawn rigs were off by more than 3.5 u, below 22 of 1376."""
+"""Relative standard deviation of the speed around the turn without a note: friction that changes
+with the speed is then an order of some per cent of it."""
 
 FOLLOWED_HARMONICS = 2
 """Harmonics of the encoder's steps whose alias the loop may follow: higher ones are weaker."""
@@ -61,9 +62,9 @@ def varying_note(recordings: Sequence[Recording], ripples: Sequence[Ripple]) -> 
         return []
     return [
         f"{recordings[worst].name}: ripple varies the speed by {100 * varying[worst]:.0f} % around "
-        f"the turn (limit {100 * VARYING_LIMIT:.0f} %): amplitudes are those of this motion, weak "
-        "orders beside strong ones are less certain than their u, and friction that changes with "
-        "the speed is part of them; take a stiffer controller"
+        f"the turn (limit {100 * VARYING_LIMIT:.0f} %): amplitudes are those of this motion, and "
+        "friction that changes with the speed, and a ripple's lag behind its angle, are part of "
+        "them; take a stiffer controller for those of an even speed"
     ]
 
 
@@ -111,23 +112,28 @@ def _spectrum(ripple: Ripple, recipe: Recipe, turns_per_s: float) -> tuple[Spect
     u of their amplitudes by T.
 
     T has the relative error |1 - T| times that of the inertia; what the varying speed changes has
-    that of the inertia. An error of the angle is one of the torque by 1/P, with P the plant.
+    that of the inertia. The encoder's steps are part of the noise floor.
     """
     asked = spectrum(ripple, HIGHEST_ORDER)
     # Both parts of a coefficient scatter.
     floor, dof = shared_floor(asked.order, asked.noise_floor, 2 * (len(ripple.waveforms) - 1))
     loop = _loop(recipe, asked.order * turns_per_s)
     gain = np.where(np.abs(loop) >= LOWEST_FOLLOWED, np.abs(loop), np.nan)
-    resolved = np.nan_to_num(asked.amplitude * np.exp(1j * asked.phase))
-    found = alone = resolved / loop
+    found = alone = np.nan_to_num(asked.amplitude * np.exp(1j * asked.phase)) / loop
     if ripple.elapsed is not None:
-        followed = loop * np.maximum(1.0, LOWEST_FOLLOWED / np.abs(loop))
-        found = motor_orders(resolved, followed, ripple.elapsed)
+        # A varying speed spreads what the loop asks for over all orders that the cells carry.
+        every = (ripple.waveforms.shape[1] - 1) // 2
+        resolved = coefficients(ripple.waveforms, every, ripple.sampling).mean(axis=0)
+        followed = _loop(recipe, np.arange(1.0, every + 1) * turns_per_s)
+        followed *= np.maximum(1.0, LOWEST_FOLLOWED / np.abs(followed))
+        found = motor_orders(resolved, followed, ripple.elapsed)[: len(alone)]
     floor = floor / gain
     if ripple.steps is not None:
         plant = position_loop(**recipe.rig.loop_design).plant
-        steps = np.maximum(ripple.steps, _followed_steps(recipe, turns_per_s))
-        whole = np.hypot(floor, steps / np.abs(plant.response(asked.order * turns_per_s)))
+        moved = _followed_steps(recipe, turns_per_s) / np.abs(
+            plant.response(asked.order * turns_per_s)
+        )
+        whole = np.hypot(floor, np.maximum(ripple.steps / gain, moved))
         with np.errstate(divide="ignore", invalid="ignore"):
             dof = dof * (whole / floor) ** 4  # Welch and Satterthwaite
         floor = whole

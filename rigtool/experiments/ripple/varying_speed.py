@@ -38,8 +38,12 @@ def motor_orders(asked: ComplexArray, loop: ComplexArray, elapsed: Array) -> Com
 
     `asked` and `loop`, T at each order, (m,); `elapsed` (n + 1,) as in `orders.Ripple`.
     """
+    cells = len(elapsed) - 1
+    late = np.fft.rfft(elapsed[:-1] - np.arange(cells) / cells)
+    # Two orders of the speed make their sum, too; beyond are the steps of the encoder.
+    late[2 * SPEED_ORDERS + 1 :] = 0.0
     angle = np.arange(POINTS) / POINTS
-    time = np.interp(angle, np.linspace(0.0, 1.0, len(elapsed)), elapsed)
+    time = angle + np.fft.irfft(late * (POINTS / cells), POINTS)
     over_time = np.interp(angle, time, _wave(asked), period=1.0)
     ripple = _wave(_orders(over_time, len(asked)) / loop)
     return _orders(np.interp(time, angle, ripple, period=1.0), len(asked))

@@ -1,6 +1,7 @@
 """Stored orders with their u and dof, beside the law of propagation line by line."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -177,3 +178,39 @@ def test_floors_of_the_scatter_are_those_of_the_motor(stored):
         seen = gain >= LOWEST_FOLLOWED
         expected = np.where(seen, asked.noise_floor / gain, np.nan)
         np.testing.assert_allclose(table["noise_floor"][row], expected, rtol=1e-9)
+
+
+def test_a_varying_speed_may_spread_ripple_beyond_the_orders_of_the_table():
+    """At a speed that swings by 0.4 at order 20, order 90 over the angle is 70, 90, 110 and others
+    over time. A loop that follows all of them shows order 90 alone."""
+    recipe, _ = load_recipe(RECIPE, ())
+    edges = np.arange(POSITIONS + 1) / POSITIONS
+    elapsed = edges + 0.4 * np.sin(2 * np.pi * 20 * edges) / (2 * np.pi * 20)
+    made = replace(ripple({90: 1e-3}, 12, noise=1e-6), elapsed=elapsed)
+    slow = SimpleNamespace(name="0", condition=lambda name: 0.01)
+    constants = {"0": Quantity(0.05, "N m/A", 0.0)}
+    tables = condition_tables("speed", "speed", "rad/s", [slow], [made], constants, recipe)
+    found = tables["speed_spectrum"]["amplitude"][0]
+    # points are taken for the means over cells that waveforms hold
+    assert found[89] == pytest.approx(1e-3 / np.sinc(90 / POSITIONS), rel=0.02)
+    assert np.delete(found, 89).max() < 0.02e-3
+
+
+def test_steps_of_the_encoder_are_part_of_the_floor_with_t_taken_off():
+    """Twice what scatter shows in what the loop asks for."""
+    recipe, _ = load_recipe(RECIPE, ())
+    made, speed = ripple({3: 1e-3}, 12, noise=1e-5), 3.0
+    slow = SimpleNamespace(name="0", condition=lambda name: speed)
+    constants = {"0": Quantity(0.05, "N m/A", 0.0)}
+
+    def table(own):
+        return condition_tables("speed", "speed", "rad/s", [slow], [own], constants, recipe)[
+            "speed_spectrum"
+        ]
+
+    without = table(made)
+    floor = without["noise_floor"][0]
+    shown = table(replace(made, steps=2 * floor * without["loop_gain"][0]))
+    np.testing.assert_allclose(shown["noise_floor"][0], math.sqrt(5) * floor, rtol=1e-3)
+    # scatter is a fifth of the variance: of the floor alone, 25 times its degrees of freedom
+    assert shown["dof"][0, 79] == pytest.approx(25 * without["dof"][0, 79], rel=0.03)
