@@ -20,7 +20,7 @@ from rigtool.experiments.force_model.deviations import (
     unseen_deviations,
 )
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.learning import learn_sliding
+from rigtool.experiments.force_model.learning import ENOUGH, learn_sliding
 from rigtool.experiments.force_model.model import Kind, Known
 from rigtool.experiments.force_model.procedure_learning import LearnedForce, untouched_motions
 from rigtool.experiments.force_model.records import ROWS_HZ
@@ -60,11 +60,11 @@ def learned(fit):
     return fit.learned
 
 
-def test_no_shape_near_the_learned_one_costs_less(fit):
+def test_no_shape_near_the_learned_one_costs_less_than_the_last_step_of_a_search_may_bring(fit):
     _, least = fit.problem.cost(fit.learned.shape)
     u = np.sqrt(np.diag(fit.learned.covariance))[: len(SLIDING_PARAMETERS)]
     for way in (*np.diag(u), *-np.diag(u)):
-        assert fit.problem.cost(stepped_shape(fit.learned.shape, way))[1] > least
+        assert fit.problem.cost(stepped_shape(fit.learned.shape, way))[1] > least - ENOUGH**2
 
 
 def test_bristles_begin_at_more_counts_with_a_fine_encoder():
