@@ -1,8 +1,8 @@
 """What an amplifier may draw at another power-up, from the ripple that was learned.
 
-The strongest orders of the ripple are followed (`power_up`). What of the ripple is not is in the
-variance alone: the other orders c, and what grows with the current, (g + h |i|) kT i. At another
-power-up these are off by
+The orders of which most is expected, in the mean square, are followed (`power_up`). What of the
+ripple is not is in the variance alone: the other orders c, and what grows with the current,
+(g + h |i|) kT i. At another power-up these are off by
 
     n^2 sum over orders of (C^2 + (kT i)^2 A(i)^2) / (1 + (order b' tau)^2),
     C^2 = |c|^2, 0 where followed,   A(i)^2 = |g + h |i||^2,
@@ -72,7 +72,7 @@ def learned_ripple(model: ForceModel) -> LearnedRipple:
     doubt = np.sum(still @ covariance * still, axis=1).reshape(-1, 2).sum(axis=1)
     other = squares(still, still)
     drawn = (other + UNCERTAIN * doubt) / 2
-    strongest = np.sort(np.argsort(-drawn, kind="stable")[:FOLLOWED])
+    strongest = np.sort(np.argsort(-other - doubt, kind="stable")[:FOLLOWED])
     other[strongest] = 0.0
     growing = squares(gain, gain), 2 * squares(gain, bent), squares(bent, bent)
     return LearnedRipple(

@@ -25,7 +25,7 @@ STROKE, CONSTANT = 0.3e-3, 0.045
 
 
 def model(uncertain=0.0, growing=()):
-    """Return a model: `uncertain` is what waves may be off by beyond what was learned, N m; `growing`
+    """Return a model: `uncertain` is what waves are off by beyond what was learned, N m; `growing`
     are kind, order and quarter of ripple by the current, and size."""
     terms = [Term(Kind.BEARING, 1.0), Term(Kind.HOUSING, 1.0)]
     terms += [Term(Kind.RIPPLE, 1e-3, *key) for key in LEARNED]
