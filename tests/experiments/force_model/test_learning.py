@@ -340,7 +340,7 @@ def test_the_time_by_which_the_current_is_late_is_found(fit):
         return found[[term.kind for term in terms].index(Kind.DELAY)]
 
     change = delay([asked(record) for record in own.records]) - delay(own.records)
-    assert change == pytest.approx(late, rel=0.02)
+    assert change == pytest.approx(late, rel=0.03)  # ripple by current takes a part
 
 
 def test_what_comes_back_in_each_pass_is_no_news(fit):
