@@ -24,13 +24,13 @@ OTHER = {(1, 0): -0.1e-3, (1, 1): 0.4e-3, (2, 0): 0.7e-3, (2, 1): -0.3e-3}
 STROKE, CONSTANT = 0.3e-3, 0.045
 
 
-def model(uncertain=0.0, growing=()):
+def model(uncertain=0.0, growing=(), waves=LEARNED):
     """Return a model: `uncertain` is what waves are off by beyond what was learned, N m; `growing`
-    are kind, order and quarter of ripple by the current, and size."""
+    are kind, order and quarter of ripple by the current, and size; `waves` the learned ripple."""
     terms = [Term(Kind.BEARING, 1.0), Term(Kind.HOUSING, 1.0)]
-    terms += [Term(Kind.RIPPLE, 1e-3, *key) for key in LEARNED]
+    terms += [Term(Kind.RIPPLE, 1e-3, *key) for key in waves]
     terms += [Term(kind, 1.0, *key) for kind, *key, _ in growing]
-    coefficient = np.array([2e-3, 9e-3, *LEARNED.values(), *(size for *_, size in growing)])
+    coefficient = np.array([2e-3, 9e-3, *waves.values(), *(size for *_, size in growing)])
     shape = Shape(2e-3, 8e-3, 5e-3, 0.3, LAG, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3)
     size = len(SLIDING_PARAMETERS) + len(terms)
     known, covariance = Known(0.85, FACTOR, 2e-5), uncertain**2 / UNCERTAIN * np.eye(size)
@@ -217,6 +217,23 @@ def test_a_weak_contact_that_lasts_is_not_taken_for_ripple(torque, other):
     assert np.mean(np.abs(found - added)[late] < 1.96 * np.sqrt(variance[late] + STROKE**2)) > 0.9
     whole, left, _ = power_up.whole(angle, states[:, TORQUE])
     assert np.mean(np.abs(whole - added) < 1.96 * np.sqrt(left + STROKE**2)) > 0.9
+
+
+def test_ripple_of_pole_pairs_is_found_at_another_power_up():
+    """Of seven: orders 7 and 14."""
+    time, angle, states = motion()
+    waves, other = (
+        {(7 * order, quarter): value for (order, quarter), value in some.items()}
+        for some in (LEARNED, OTHER)
+    )
+    added = ripple(other, angle) - ripple(waves, angle)
+    states[:, TORQUE] = contact(time) + noise(time, states) + added
+    power_up = PowerUp(model(waves=waves), STEP, BANDWIDTH)
+    power_up.add(angle, states, *follows(states))
+    assert power_up.probability > 0.99
+    found, variance, _ = power_up.whole(angle, states[:, TORQUE])
+    assert np.std(found - added) < 0.2 * np.std(added)
+    assert np.mean(np.abs(found - added) < 1.96 * np.sqrt(variance)) > 0.9
 
 
 def test_blocks_of_any_length_give_the_same(another):
