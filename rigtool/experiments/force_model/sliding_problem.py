@@ -226,7 +226,10 @@ class Problem:
         stays (D. J. C. MacKay, Neural Computation 4(3) 415-447, 1992).
         """
         normal, first = self.normal(shape, None).sum(axis=0), self.spread
-        groups = [[n for n, t in enumerate(self.terms) if t.kind is kind] for kind in SIZED]
+        groups = [
+            [n for n, t in enumerate(self.terms) if t.kind is kind and t.spread > 0]
+            for kind in SIZED
+        ]
         for _ in range(SIZING_ROUNDS):
             solution, covariance = self.solved(normal, shape, 0)
             sized = self.spread.copy()

@@ -32,9 +32,9 @@ FOLLOWED = 6
 """Number of orders that are followed: the work of a row grows with the square of their number."""
 
 UNCERTAIN = 6.0
-"""Part of the variance of learned waves that counts: the prior's size is that of all orders, of
-which a few hold most of an amplifier's ripple. With 1 or 3, scores at another power-up are 8 or 4 %
-larger (three development rigs)."""
+"""Multiple of the variance of learned waves that counts: the prior's size is that of all orders, of
+which a few hold most of an amplifier's ripple. With 1 or 3, causal scores at another power-up are 8
+or 4 % larger (three development rigs)."""
 
 
 @dataclass(frozen=True, eq=False)
