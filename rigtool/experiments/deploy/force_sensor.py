@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from importlib.resources import files
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rigtool.experiments.deploy.c_header import comment
 from rigtool.experiments.force_filter import creeping, kalman, motion_states, passed, rests
@@ -24,7 +25,7 @@ from rigtool.experiments.force_sensor.drawn_ripple import learned_ripple
 from rigtool.experiments.force_sensor.sensor import AT_THE_LIMIT, SensorProperties
 from rigtool.numerics.arrays import Array
 
-Number = float | int | str | Array
+Number = float | int | str | Array | NDArray[np.int64]
 
 DIGITS = 12
 """Digits of the maps' numbers; all other numbers are exact."""

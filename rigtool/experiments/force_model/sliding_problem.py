@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.model import (
     FIXED,
+    Kind,
     Known,
     Prediction,
     RecordState,
@@ -53,6 +54,10 @@ DERIVATIVE_STEP = 0.002
 
 ROWS_PER_INDEPENDENT_ROW = 30.0
 """Rows that count as one independent row: the noise of friction lasts longer than a row."""
+
+SIZED = (Kind.COGGING, Kind.RIPPLE)
+"""Kinds of waves whose prior the records size: there are many, and along a part of a turn they look
+alike. Ripple by current has too few that are determined."""
 
 SIZING_ROUNDS, LEAST_SIZE, LEAST_DETERMINED = 10, 0.01, 1.0
 """Rounds in which the priors of waves are sized; the smallest size, in parts of that before; and
@@ -214,17 +219,16 @@ class Problem:
         return solution, covariance
 
     def size_waves(self, shape: Shape) -> None:
-        """Set the priors of each kind's waves to the size that the records show at a shape.
+        """Set the priors of ripple and cogging to the size that the records show at a shape.
 
         With coefficients c of prior variance v and posterior variance P, those that the records
         determine count: v is multiplied by the sum of c^2 / v over that of 1 - P / v, until it
         stays (D. J. C. MacKay, Neural Computation 4(3) 415-447, 1992).
         """
         normal, first = self.normal(shape, None).sum(axis=0), self.spread
-        kinds = {term.kind for term in self.terms if term.order}
         groups = [
-            [n for n, term in enumerate(self.terms) if term.kind is kind and term.order]
-            for kind in kinds
+            [n for n, t in enumerate(self.terms) if t.kind is kind and t.spread > 0]
+            for kind in SIZED
         ]
         for _ in range(SIZING_ROUNDS):
             solution, covariance = self.solved(normal, shape, 0)

@@ -63,6 +63,9 @@ LEVEL, OTHER = 0.2, 0.1
 tables are of another instrument, in parts of how often the zero is another one: an encoder without
 an index has one at each start, tables are checked for the name of the rig."""
 
+UNCERTAIN_SHARE = 0.3
+"""Part of the variance of waves with other phases that counts besides the learned amplitude."""
+
 TOUCHED_PROBABILITY, ROUNDS = 0.3, 4
 """Probability that something touches, before anything is seen; rounds of the search for what is
 touched."""
@@ -319,7 +322,7 @@ def _other_phases(
     mean: Array, covariance: Array, terms: Sequence[Term], waves: list[int]
 ) -> tuple[Array, Array]:
     """Return mean and covariance of the terms where these `waves` of theirs have other phases."""
-    square = mean**2 + np.diag(covariance)
+    square = mean**2 + UNCERTAIN_SHARE * np.diag(covariance)
     mean, covariance = mean.copy(), covariance.copy()
     orders = np.array([terms[n].order for n in waves])
     mean[waves] = covariance[waves, :] = covariance[:, waves] = 0.0

@@ -7,7 +7,7 @@ Of a torque M on the output the filter finds, at the torque factor n,
 with beta what the amplifier's ripple is off from the learned one, c. Either the power-up is another
 one: c + beta has amplitudes A with other phases,
 
-    beta ~ N(-c, A^2 / 2),    A^2 = |c|^2 + variance of c, of each order,
+    beta ~ N(-c, A^2 / 2),    A^2 = |c|^2 + a multiple of the variance of c, of each order,
 
 or the ripple is near the learned one, beta ~ N(0, `CHANGED`^2 A^2 / 2), or it is the learned one.
 
@@ -50,7 +50,7 @@ from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter import passed
 from rigtool.experiments.force_filter.motion_states import SLIDING_DEFLECTION
-from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, TORQUE
+from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, TORQUE, Record
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_sensor import shown_ripple
 from rigtool.experiments.force_sensor.drawn_ripple import learned_ripple

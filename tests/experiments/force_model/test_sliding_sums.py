@@ -181,6 +181,27 @@ def test_the_cost_is_the_sum_of_squares_of_residuals_and_priors(problem):
     problem.cost(SHAPE)
 
 
+def test_waves_of_a_kind_get_the_size_of_those_that_the_records_determine():
+    """What is learned of them over the prior is then as much as they are determined."""
+    waves = [Term(Kind.COGGING, 0.01, order, quarter) for order in (1, 3, 5) for quarter in (0, 1)]
+    record = plant.strokes(0.0, 4.0, cycles=3, noise=(1e-4, 0.1), seed=3)
+    felt = sum(1e-3 * np.cos(order * record.angle + order) for order in (1, 3, 5))
+    records = [replace(record, current=record.current + felt / record.torque_constant)]
+    problem = Problem(records, (*TERMS[:4], *waves), KNOWN, SHAPE, DEVIATION, FRICTION)
+    before = problem.spread.copy()
+    problem.size_waves(SHAPE)
+    assert_allclose(problem.spread[:4], before[:4])
+    ratio = problem.spread[4:] / before[4:]
+    assert_allclose(ratio, ratio[0])
+    assert 0.03 < ratio[0] < 0.2
+    assert [term.spread for term in problem.terms] == problem.spread.tolist()
+    solution, left = problem.solved(problem.normal(SHAPE, None).sum(axis=0), SHAPE, 0)
+    prior = problem.spread[4:] ** 2
+    determined = np.sum(1 - np.diag(left)[4:] / prior)
+    assert 1 < determined < 6
+    assert np.sum(solution[4:] ** 2 / prior) == pytest.approx(determined, rel=0.02)
+
+
 def test_records_are_weighed_alike_until_the_end_where_larger_residuals_count_less(problem):
     before, own = problem.variance.copy(), problem._rows
     power = [np.mean(problem.remaining(n, SHAPE, COEFFICIENT) ** 2) for n in range(2)]

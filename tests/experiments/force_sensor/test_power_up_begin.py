@@ -10,7 +10,7 @@ from scipy.signal import butter, lfilter
 from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, STATES, TORQUE
 from rigtool.experiments.force_model.model import ROTOR_ORDERS, Kind, Term
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
-from rigtool.experiments.force_sensor.drawn_ripple import FOLLOWED, learned_ripple
+from rigtool.experiments.force_sensor.drawn_ripple import FOLLOWED, UNCERTAIN, learned_ripple
 from rigtool.experiments.force_sensor.lasting_contact import LASTING, LASTS
 from rigtool.experiments.force_sensor.power_up import PowerUp
 from rigtool.experiments.force_sensor.ripple_rows import (
@@ -27,7 +27,6 @@ from tests.experiments.force_filter.plants import PLANT, UNCERTAINTY
 
 FIRST = len(SLIDING_PARAMETERS)
 TERMS = [*LEARNED.terms, Term(Kind.SQUARE_RIPPLE, 1e-3, 2, 0), Term(Kind.COGGING, 1e-3, 3, 0)]
-STILL = (Kind.RIPPLE, Kind.COGGING)
 COEFFICIENT = np.append(LEARNED.coefficient, [5e-3, 4e-4])
 
 
@@ -73,14 +72,9 @@ def test_the_strongest_orders_are_followed_and_what_is_left_is_in_the_variance()
     assert_allclose(own.unfollowed, np.column_stack([left, np.zeros((len(left), 3))]))
 
 
-def test_another_power_up_has_the_amplitude_of_each_order_and_a_part_of_still_ones_doubt():
+def test_another_power_up_has_the_amplitude_of_each_order_and_the_doubt_of_still_ones():
     model = covaried()
-    own, waves = learned_ripple(model), [n for n, t in enumerate(TERMS) if t.kind in STILL]
-    prior = np.array([TERMS[n].spread ** 2 for n in waves])
-    left = np.diag(model.learned.covariance)[FIRST:][waves]
-    determined = sum(max(1 - p / v, 0) for p, v in zip(left, prior, strict=True))
-    share = np.sum(COEFFICIENT[waves] ** 2 / prior) / determined
-    assert 0.01 < share < 1
+    own = learned_ripple(model)
     covariance = model.learned.covariance[FIRST:, FIRST:]
     terms, values = TERMS, COEFFICIENT
 
@@ -95,33 +89,15 @@ def test_another_power_up_has_the_amplitude_of_each_order_and_a_part_of_still_on
             total += (one @ values) * (other @ values) + share * doubt
         return total
 
-    still, gain, bent = STILL, (Kind.GAIN_RIPPLE,), (Kind.SQUARE_RIPPLE,)
+    still, gain, bent = (Kind.RIPPLE, Kind.COGGING), (Kind.GAIN_RIPPLE,), (Kind.SQUARE_RIPPLE,)
     for place, order in enumerate(own.orders):
-        expected = square(still, order, share=share) / 2
+        expected = square(still, order, share=UNCERTAIN) / 2
         assert_allclose(own.drawn[2 * place : 2 * place + 2], expected)
     for order in ROTOR_ORDERS:
         # |g + h |i||^2 = g g + 2 g h |i| + h h i^2
         growing = square(gain, order), 2 * square(gain, order, bent), square(bent, order)
         left = 0.0 if order in own.orders else square(still, order)
         assert_allclose(own.unfollowed[order - 1], [left, *growing], atol=1e-18)
-
-
-@pytest.mark.parametrize(("learned", "doubt"), [(1e-4, 0.01), (3e-3, 1.0)])
-def test_waves_that_nothing_determines_have_the_variance_of_those_that_something_does(
-    learned, doubt
-):
-    """Order 1 is learned, order 2 has its prior's variance; no share is more than all of it."""
-    terms = [Term(Kind.RIPPLE, 1e-3, order, quarter) for order in (1, 2) for quarter in (0, 1)]
-    variances = np.repeat([0.0, 1e-6], 2)
-    given = {"terms": terms, "coefficient": np.array([learned, learned, 0.0, 0.0])}
-    given["covariance"] = np.diag(np.append(np.zeros(FIRST), variances))
-
-    class Own(Model):
-        learned = type(LEARNED)(**{**vars(LEARNED), **given})
-
-    own = learned_ripple(Own())
-    assert own.orders[:2].tolist() == [1, 2]
-    assert_allclose(own.drawn[:4], np.repeat([learned**2, doubt * 1e-6], 2))
 
 
 @pytest.mark.parametrize("step_time", [1e-3, 4e-3])
