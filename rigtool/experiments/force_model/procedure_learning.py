@@ -89,6 +89,7 @@ class LearnedForce:
 def learn_force(
     strokes: Sequence[Recording],
     moves: Sequence[Recording],
+    switched: Sequence[Recording],
     explored: Recording,
     checks: Sequence[Recording],
     recipe: Recipe,
@@ -96,7 +97,8 @@ def learn_force(
 ) -> LearnedForce:
     """Learn from strokes under known loads, moves without one, and the exploration.
 
-    `checks` are motions under known loads to which nothing is fitted: they show u.
+    `switched` are moves with the learned table switched on, `checks` motions under known loads to
+    which nothing is fitted: they show u.
     Raises `InsufficientDataError` where they do not carry it.
     """
     rig = recipe.rig
@@ -127,9 +129,10 @@ def learn_force(
     sliding = learn_sliding(records, known, own.count, of_means)
     uncertainty = ForceModel(sliding.learned, deviating).uncertainty
     resting = _motion(signals, own)
-    found = learn_rest(sliding.learned, resting, uncertainty)
+    under = _condition(recipe, kt, warm, 0.0)
+    turning = _as_long(resting, sorted(switched, key=_speed)[:1], recipe, under)
+    found = learn_rest(sliding.learned, [resting, *turning], uncertainty)
     if moves:
-        under = _condition(recipe, kt, warm, 0.0)
         least = TURNING_SPEED_RATIO * max(r.condition("speed") for r in moves)
         turns = [_signals(r, recipe) for r in moves if r.condition("speed") >= least]
         found = learn_turns(found, [_motion(turn, under) for turn in turns], uncertainty)
@@ -152,6 +155,24 @@ def learn_force(
     # Faster motion with smaller errors must not lower the thresholds of slow motion
     limits = np.maximum(thresholds(tried), thresholds(tried[: 1 + len(slow)]))
     return LearnedForce(replace(model, limits=limits), sliding, loaded, scatter, seen is not None)
+
+
+def _speed(recording: Recording) -> float:
+    """Return the speed of moves, rad/s of the motor."""
+    return recording.condition("speed")
+
+
+def _as_long(
+    motion: Exploration, recordings: Sequence[Recording], recipe: Recipe, under: LoadCase
+) -> list[Exploration]:
+    """Return the first samples of recordings, as many as a motion has, where they have one length
+    with it."""
+    size, every = len(motion.encoder), [_motion(_signals(r, recipe), under) for r in recordings]
+    return [
+        replace(one, encoder=one.encoder[:size], current=one.current[:size])
+        for one in every
+        if math.isclose(one.sample_time, motion.sample_time, rel_tol=1e-6)
+    ]
 
 
 def untouched_motions(

@@ -139,11 +139,15 @@ class Exploration:
 
 
 def learn_rest(
-    learned: LearnedModel, exploration: Exploration, uncertainty: Uncertainty
+    learned: LearnedModel, explorations: Sequence[Exploration], uncertainty: Uncertainty
 ) -> LearnedModel:
-    """Return the model, improved by an exploration of rest and reversals."""
+    """Return the model, improved by explorations of rest and reversals, of samples of one length.
+
+    A loop alone creeps through a turn, one with a learned table is through at once. What one of
+    both shows alone, lengths and shares that the other contradicts explain as well.
+    """
     unsure = replace(held(uncertainty), speed_rate=SPEED_RATE)
-    problem = PredictionProblem(learned, [exploration], unsure, BY_REST)
+    problem = PredictionProblem(learned, explorations, unsure, BY_REST)
     return problem.solution(problem.tried())
 
 

@@ -201,10 +201,10 @@ def _untouched_cells(parts: Sequence[Passes], hand: float | None) -> Array:
 
 def _shown(every: Array) -> Mask:
     """Return which of the cells (CELLS, 3) show what nothing touches; none where few of them do."""
-    shown = np.isfinite(every).all(axis=1)
-    enough = np.count_nonzero(shown) >= SHOWN * np.count_nonzero(np.isfinite(every[:, 2]))
-    found: Mask = shown & enough
-    return found
+    shown: Mask = np.asarray(np.isfinite(every).all(axis=1))
+    if np.count_nonzero(shown) < SHOWN * np.count_nonzero(np.isfinite(every[:, 2])):
+        return np.zeros_like(shown)
+    return shown
 
 
 def _cells(parts: Sequence[Passes], hand: float | None) -> Array:

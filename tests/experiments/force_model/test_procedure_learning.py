@@ -2,12 +2,14 @@
 
 import math
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from rigtool.experiments.controller_torque import LoopSignals
 from rigtool.experiments.force_model import procedure_learning as module
+from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.procedure_learning import (
     FREE_TIME,
     _compared,
@@ -123,5 +125,48 @@ def test_moves_have_the_mean_temperature_of_strokes_and_the_exploration_its_own(
     monkeypatch.setattr(module, "_signals", ended)
     strokes = [Warm(1.0, 0.0), Warm(1.0, 4.0)]
     with pytest.raises(Done):
-        module.learn_force(strokes, [Warm(9.0, 0.0)], Warm(1.0, 2.0), [], recipe, None)
+        module.learn_force(strokes, [Warm(9.0, 0.0)], [], Warm(1.0, 2.0), [], recipe, None)
     assert given == [(31.0, 0.0), (31.0, 0.0)]
+
+
+@pytest.mark.parametrize("interval", [1e-3, 2e-3])
+def test_rest_is_learned_from_the_slowest_moves_with_the_table_as_well(monkeypatch, interval):
+    """As many samples as the exploration has, where they have one length with it; at the mean
+    temperature of the strokes."""
+
+    class Done(Exception):
+        pass
+
+    def signals(recording, recipe):
+        size, step = (40, 1e-3) if recording.speed == 7.0 else (90, interval)
+        values = {
+            name: recording.speed + np.arange(size) for name in LoopSignals.__dataclass_fields__
+        }
+        return LoopSignals(**{**values, "time": step * np.arange(size)})
+
+    def rest(learned, explorations, uncertainty):
+        given.append(explorations)
+        raise Done
+
+    given, recipe = [], load_recipe(RECIPE)[0]
+    quiet = SimpleNamespace(learned=None, stroke=1.0, load=1.0, uncertainty=None)
+    monkeypatch.setattr(module, "stroke_record", lambda *own: None)
+    monkeypatch.setattr(module, "scatter_ratios", lambda records: [0.0] * len(records))
+    monkeypatch.setattr(module, "_condition", lambda r, kt, degc, f: LoadCase(degc, f, 0.0, 1e-3))
+    monkeypatch.setattr(module, "_signals", signals)
+    monkeypatch.setattr(module, "single", lambda *own: None)
+    monkeypatch.setattr(module, "deviations", lambda *own: Deviations(1.0, 1.0, 1.0, 1.0))
+    monkeypatch.setattr(module, "kept_by_mean", lambda *own: 1.0)
+    monkeypatch.setattr(module, "learn_sliding", lambda *own: quiet)
+    monkeypatch.setattr(module, "ForceModel", lambda *own: quiet)
+    monkeypatch.setattr(module, "learn_rest", rest)
+    switched = [Warm(9.0, 0.0), Warm(3.0, 0.0), Warm(5.0, 0.0)]
+    kt = SimpleNamespace(results={})
+    with pytest.raises(Done):
+        module.learn_force([Warm(1.0, 4.0)], [], switched, Warm(7.0, 2.0), [], recipe, kt)
+    ((first, *others),) = given
+    assert (first.encoder[0], first.torque_constant) == (7.0, 31.0)
+    assert [one.encoder.tolist() for one in others] == (
+        [] if interval == 2e-3 else [(3 + np.arange(40)).tolist()]
+    )
+    assert all(one.torque_constant == 41.0 and len(one.current) == 40 for one in others)

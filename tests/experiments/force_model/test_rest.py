@@ -124,7 +124,7 @@ def learned():
     shares = [list(FRICTIONS).index(kind) for kind in (Kind.BEARING, Kind.HOUSING)]
     coefficient[shares] += np.array([1.5e-3, -1.5e-3])
     wrong = with_lengths(replace(truth, coefficient=coefficient), 3.2e-3, 16e-3)
-    return truth, wrong, learn_rest(wrong, motion, UNCERTAINTY), motion
+    return truth, wrong, learn_rest(wrong, [motion], UNCERTAINTY), motion
 
 
 def test_rest_and_reversals_are_predicted_as_by_the_truth(learned):
@@ -160,7 +160,7 @@ def test_a_slope_is_taken_on_the_side_that_is_physically_possible(monkeypatch):
         return np.full(1, np.inf) if away[0] > 0 else 1e-4 * (1 + np.resize(away, 50))
 
     monkeypatch.setattr(PredictionProblem, "errors", errors)
-    found = learn_rest(model(), explored(model(), 2.0), UNCERTAINTY)
+    found = learn_rest(model(), [explored(model(), 2.0)], UNCERTAINTY)
     assert np.all(np.isfinite(found.length_u))
     assert np.all(np.isfinite(found.covariance))
 
@@ -171,7 +171,7 @@ def test_a_fine_encoder_shows_bristles_of_many_counts_and_of_few(lengths):
     truth = with_lengths(model(), *lengths)
     motion = explored(truth, 4.0, sizes=(0.005, 0.4), width=width)
     begun = bristle_scale(2.6, width)
-    found = learn_rest(with_lengths(truth, begun, 6 * begun), motion, UNCERTAINTY)
+    found = learn_rest(with_lengths(truth, begun, 6 * begun), [motion], UNCERTAINTY)
     assert found.shape.housing_length == pytest.approx(truth.shape.housing_length, rel=0.35)
     assert error(found, motion) < error(truth, motion)
 

@@ -150,8 +150,8 @@ def _learn_force(run: Run, recipe: Recipe, kt: Run) -> LearnedForce:
             "in which ilc-learn --implementation D recorded its signals, or learn again"
         )
     moves = [r for kind in ("learn", "low") for r in run.recordings_named(f"{kind}_")]
-    checks = run.recordings_named(f"{CHECKED}_")
-    return learn_force(strokes, moves, explored[0], checks, recipe, kt)
+    switched, checks = (run.recordings_named(f"{kind}_") for kind in ("validate", CHECKED))
+    return learn_force(strokes, moves, switched, explored[0], checks, recipe, kt)
 
 
 @dataclass(frozen=True, eq=False)
