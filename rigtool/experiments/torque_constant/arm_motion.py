@@ -9,6 +9,9 @@ w and l are unknown. They are fitted to the courses of all plateaus together, so
 have hardly any noise of the gauge. Noise in the swing of each step alone would count as path of
 friction: less friction then fits the staircase, and the slope comes out low (errors in variables;
 R. J. Carroll et al., Measurement Error in Nonlinear Models, 2nd ed., 2006, section 1.1).
+
+The motion has the state z of friction at the end of each plateau, too: as a course resolves a swing
+into some values only, the turns that these show are a part too small.
 """
 
 from __future__ import annotations
@@ -69,9 +72,22 @@ class Arm:
 
     def swings(self, courses: Courses, contacts: Contacts) -> Array:
         """Return the swings (g, p, c) of (1) about where the arm comes to rest, N m."""
-        swings: Array = np.empty(courses.course.shape)
+        swings, _, _ = self._motion(courses, contacts)
+        settled = swings[:, :, courses.course.shape[2] // 2 :]
+        swings -= settled.mean(axis=2, keepdims=True)
+        return swings
+
+    def friction_state(self, courses: Courses, contacts: Contacts) -> tuple[Array, Array]:
+        """Return a and b (g, p) of the friction's state z = a + b z0 after each plateau."""
+        _, state, kept = self._motion(courses, contacts)
+        return state - kept * contacts.state[:, :1], kept
+
+    def _motion(self, courses: Courses, contacts: Contacts) -> tuple[Array, Array, Array]:
+        """Return torques (g, p, c) N m, states of friction (g, p) and dz/dz0 (g, p)."""
+        torque: Array = np.empty(courses.course.shape)
+        state, kept = np.empty((2, *courses.torque.shape))
         drive = courses.torque + contacts.level * contacts.state
-        for number, swing in enumerate(swings):
+        for number in range(len(torque)):
             _move(
                 drive[number],
                 courses.part[number] / self.steps,
@@ -79,11 +95,11 @@ class Arm:
                 (self.frequency, self.lag),
                 (contacts.level, contacts.transition, contacts.exponent),
                 (courses.torque[number, 0], contacts.state[number, 0]),
-                swing,
+                torque[number],
+                state[number],
+                kept[number],
             )
-        settled = swings[:, :, courses.course.shape[2] // 2 :]
-        swings -= settled.mean(axis=2, keepdims=True)
-        return swings
+        return torque, state, kept
 
 
 def arm_of(courses: Courses, contacts: Contacts) -> Arm | None:
@@ -120,8 +136,11 @@ def _move(
     contacts: tuple[float, float, float],
     start: tuple[float, float],
     torque: Array,
+    state: Array,
+    kept: Array,
 ) -> None:
-    """Move the arm under motor torques (p,) N m by (1) and write the gauge's `torque` (p, c) N m.
+    """Move the arm under motor torques (p,) N m by (1) and write the gauge's `torque` (p, c) N m,
+    the `state` z (p,) of friction after each plateau and its derivative `kept` (p,) at z0.
 
     `step` (p,) s is that of the integration, `steps` to a value of the course; the damping acts
     with the mean of the speeds before and after (leapfrog: Hairer, Lubich and Wanner, Geometric
@@ -130,7 +149,7 @@ def _move(
     frequency, lag = arm
     level, transition, exponent = contacts
     x, z = start
-    speed = 0.0
+    speed, slope = 0.0, 1.0
     for j in range(len(drive)):
         push = frequency * frequency * step[j]
         drag = push * lag / 2.0
@@ -144,9 +163,12 @@ def _move(
                 x += way
                 side = math.copysign(1.0, way)
                 left = 1.0 - side * z
-                if exponent == 1.0:
-                    left /= 1.0 + abs(way) / transition
-                elif left > 0.0:
-                    left = max(left - abs(way) / transition * left**exponent, 0.0)
-                z = side * (1.0 - left)
+                if left > 0.0:
+                    if exponent == 1.0:
+                        after = left / (1.0 + abs(way) / transition)
+                    else:
+                        after = max(left - abs(way) / transition * left**exponent, 0.0)
+                    slope *= max(1.0 - exponent * (1.0 - after / left), 0.0)
+                    z = side * (1.0 - after)
             torque[j, part] = total / steps
+        state[j], kept[j] = z, slope

@@ -36,10 +36,27 @@ def staircase(rng=None, noise=0.0):
 
 
 @pytest.mark.parametrize("exponent", [0.7, 1.0, 1.6])
-def test_swings_are_those_of_the_equation_of_motion(exponent):
+def test_what_is_kept_of_the_state_before_is_its_derivative(exponent):
+    """By differences, where friction is too small to change the motion."""
+    weak = replace(CONTACTS, level=1e-9, exponent=exponent)
+
+    def states(z):
+        moved = replace(weak, state=np.where(np.arange(len(LEVELS)) > 0, weak.state, z))
+        a, b = ARM.friction_state(staircase(), moved)
+        return a[0] + b[0] * z, b[0]
+
+    (above, _), (below, _), (_, kept) = states(1e-4), states(-1e-4), states(0.0)
+    assert_allclose(kept, (above - below) / 2e-4, atol=1e-4)
+    assert 0.05 < kept[1] < 0.9
+
+
+@pytest.mark.parametrize("exponent", [0.7, 1.0, 1.6])
+def test_swings_and_friction_are_those_of_the_equation_of_motion(exponent):
     """By scipy's integrator, plateau by plateau."""
     contacts = replace(CONTACTS, exponent=exponent)
     found = ARM.swings(staircase(), contacts)[0]
+    a, b = ARM.friction_state(staircase(), contacts)
+    state = a[0] + b[0] * contacts.state[0, 0]
     drive = 0.01 * LEVELS + contacts.level * contacts.state[0]
 
     def change(_, at, push):
@@ -57,6 +74,7 @@ def test_swings_are_those_of_the_equation_of_motion(exponent):
         course -= course[PARTS // 2 :].mean()
         assert_allclose(found[j], course, atol=0.02 * 0.01)
         at = solved.y[:, -1]
+        assert state[j] == pytest.approx(at[2], abs=2e-3)
 
 
 def test_the_arm_is_found_in_courses_with_noise():
