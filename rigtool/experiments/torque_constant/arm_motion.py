@@ -25,7 +25,7 @@ from rigtool.experiments.torque_constant.swings import LARGEST_DAMPING, Courses,
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
 
-FINEST_ANGLE = 0.05
+FINEST_ANGLE = 0.1
 """Angle of the arm's oscillation in one step of the integration, rad."""
 
 RANGE = math.log(5.0)

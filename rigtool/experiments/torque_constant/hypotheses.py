@@ -115,11 +115,11 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
     ways = ways_of(stairs)
     coarse = _joined([_search(means, way, 0) for way in ways])
     means.smooth(coarse.best())
-    found = weighed(means, ways)
-    means.find_arm(found.best)
+    means.find_arm(coarse.best())
     if means.arm is not None:
-        found = weighed(means, [(means.arm.lag, means.arm.lag)])
-        means.move_arm(found.best)
+        ways = [(means.arm.lag, means.arm.lag)]
+    found = weighed(means, ways)
+    means.move_arm(found.best)
     probable = found.probable()
     mean = probable @ found.slope
     spread = np.sqrt(probable @ ((found.slope - mean) ** 2 + found.variance))

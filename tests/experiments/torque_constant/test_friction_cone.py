@@ -1,4 +1,4 @@
-"""What is possible for friction and heat, against drawn values of which the impossible are left out."""
+"""What is possible for friction and heat, against drawn values without the impossible ones."""
 
 import numpy as np
 import pytest

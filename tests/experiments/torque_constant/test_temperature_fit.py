@@ -13,12 +13,12 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.torque_constant.mean_staircases import MeanStaircases
 from rigtool.experiments.torque_constant.ripple_over_turn import (
     first_ripple,
     ripple_over_turn,
     stated_ripple,
 )
-from rigtool.experiments.torque_constant.mean_staircases import MeanStaircases
 from rigtool.experiments.torque_constant.staircase import (
     Linearity,
     amplifier_linearity,
