@@ -10,8 +10,8 @@ have hardly any noise of the gauge. Noise in the swing of each step alone would 
 friction: less friction then fits the staircase, and the slope comes out low (errors in variables;
 R. J. Carroll et al., Measurement Error in Nonlinear Models, 2nd ed., 2006, section 1.1).
 
-The motion has the state z of friction at the end of each plateau, too: as a course resolves a swing
-into some values only, the turns that these show are a part too small.
+The motion has the state z of friction itself. Turns that a course shows count only above its noise,
+and without the smaller ones friction seems to do less.
 """
 
 from __future__ import annotations

@@ -75,9 +75,9 @@ def possible(mean: Array, covariance: Array, largest: float) -> Possible:
 
 
 def positive(mean: Array, sigma: Array) -> tuple[Array, Array]:
-    """Return the logarithm of the probability that a normal distribution is positive, and how far
-    the mean of that part is from that of the whole (N. L. Johnson et al., Continuous Univariate
-    Distributions, 2nd ed., 1994, section 13.10.1)."""
+    """Return the logarithm of the probability that normal distributions (...,) are positive, and
+    how far the mean of that part is from that of the whole (N. L. Johnson et al., Continuous
+    Univariate Distributions, 2nd ed., 1994, section 13.10.1)."""
     from scipy.special import log_ndtr
 
     ratio = mean / sigma

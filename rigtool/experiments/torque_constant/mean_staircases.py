@@ -108,21 +108,30 @@ class MeanStaircases:
     def friction_of_each(self, common: Common) -> tuple[Array, ...]:
         """Return columns of f and f z0 of each staircase (m, p), or nothing without friction.
 
-        A staircase differs from its mean by what its own turns make of friction.
+        It is that of the arm's motion under the torque of each. Ripple acts with a lag: what that
+        does to the turns of the arm is added.
         """
         if common.transition is None:
             return ()
-        courses = self.stairs.courses
-        own = np.stack(self._friction_under(common))[:, courses.kind]
-        if common.lag is not None:
-            (mean,) = self._ways([common.lag])
-            (each,) = paths(courses, *courses.of_each(), [common.lag])
-            each, mean = (
-                np.stack(friction_state(way, common.transition, common.exponent))
-                for way in (each, mean[:, courses.kind])
+        courses, kind = self.stairs.courses, self.stairs.courses.kind
+
+        def by_turns(way: Array) -> Array:
+            return np.stack(friction_state(way, common.transition or 0.0, common.exponent))
+
+        if common.lag is None:
+            own = by_turns(straight_path(courses)[:, kind])
+        else:
+            torque, *both = courses.of_each()
+            own, at_once = (
+                by_turns(paths(courses, torque, course, [common.lag])[0]) for course in both
             )
-            own -= each - mean
-        a, b = own * self.stairs.weight
+            if self.arm is not None:
+                contacts = self.contacts(common)
+                state = at_once[0] + at_once[1] * contacts.state[kind][:, :1]
+                contacts = replace(contacts, state=np.clip(state, -1.0, 1.0))
+                each = replace(courses, torque=torque, course=both[0], part=courses.part[kind])
+                own += self.arm.friction_state(each, contacts) - at_once
+        a, b = -own * self.stairs.weight
         return a, b
 
     def try_all(self, axes: list[Array]) -> tuple[Array, Array, Array, Array]:

@@ -37,7 +37,8 @@ HEATING_TIME = 60.0
 
 
 def warming(time_constant: ArrayLike, time: float = HEATING_TIME) -> Array:
-    """Return w of (1) over the square of a current that has flown for `time` s, s."""
+    """Return w of (1) over the square of a current that has flown for `time` s, for time constants
+    (...,) in s, s."""
     tau = np.asarray(time_constant)
     return np.asarray(-tau * np.expm1(-time / tau))
 
