@@ -28,6 +28,10 @@ from rigtool.numerics.compiled import compiled
 FINEST_ANGLE = 0.1
 """Angle of the arm's oscillation in one step of the integration, rad."""
 
+STRIDE = 1.5
+"""Ratio of the natural frequencies of arms with one of which the search begins; the slowest of them
+swings half a period on a plateau."""
+
 RANGE = math.log(5.0)
 """Natural frequency and lag are searched up to this beyond where the search begins, logarithm."""
 
@@ -108,9 +112,7 @@ def arm_of(courses: Courses, contacts: Contacts) -> Arm | None:
     if slowest is None:
         return None
     measured = courses.course + courses.dropped - courses.torque[:, :, None]
-    start = np.log([2 * LARGEST_DAMPING / slowest, slowest / 4])
-    angle = math.exp(start[0]) * float(np.max(courses.part))
-    steps = max(math.ceil(angle / FINEST_ANGLE), 1)
+    longest = float(np.max(courses.part))
 
     def arm(logarithms: Array) -> Arm:
         frequency, lag = np.exp(logarithms).tolist()
@@ -122,6 +124,14 @@ def arm_of(courses: Courses, contacts: Contacts) -> Arm | None:
 
     from scipy.optimize import least_squares
 
+    # Noise on the swing of a slow arm passes for turns of a fast one.
+    fastest = 2 * LARGEST_DAMPING / slowest
+    slower = math.log(fastest * courses.course.shape[2] * longest / math.pi) / math.log(STRIDE)
+    frequencies = fastest * STRIDE ** -np.arange(max(math.floor(slower), 0) + 1.0)
+    steps = max(math.ceil(fastest * longest / FINEST_ANGLE), 1)
+    starts = np.log(np.stack([frequencies, LARGEST_DAMPING / 2 / frequencies], axis=1))
+    start = min(starts, key=lambda one: float(np.sum(left(one) ** 2)))
+    steps = max(math.ceil(math.exp(start[0]) * longest / FINEST_ANGLE), 1)
     bounds = (start - RANGE, start + RANGE)
     found = least_squares(left, start, bounds=bounds, diff_step=np.full(2, 1e-4))
     return arm(found.x)

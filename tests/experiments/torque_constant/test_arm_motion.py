@@ -18,8 +18,8 @@ ARM = Arm(frequency=55.0, lag=0.011, steps=8)
 CONTACTS = Contacts(6e-3, np.array([[0.0, 0.4, 0.7, 0.8, 0.9, 0.3, -0.2, -0.5, -0.7]]), 0.02, 1.0)
 
 
-def staircase(rng=None, noise=0.0):
-    """Return courses whose swings are those of the arm, with noise."""
+def staircase(rng=None, noise=0.0, arm=ARM):
+    """Return courses whose swings are those of an arm, with noise."""
     torque = 0.01 * LEVELS[None]
     bare = mean_courses(
         LEVELS[None],
@@ -29,7 +29,7 @@ def staircase(rng=None, noise=0.0):
         np.zeros(1),
         noise=1e-9,
     )
-    swings = ARM.swings(bare, CONTACTS)
+    swings = arm.swings(bare, CONTACTS)
     if rng is not None:
         swings = swings + noise * rng.standard_normal(swings.shape)
     return replace(bare, course=torque[:, :, None] + swings, dropped=np.zeros(swings.shape))
@@ -82,6 +82,15 @@ def test_the_arm_is_found_in_courses_with_noise():
     found = arm_of(courses, CONTACTS)
     assert found.frequency == pytest.approx(ARM.frequency, rel=0.01)
     assert found.lag == pytest.approx(ARM.lag, rel=0.03)
+
+
+def test_an_arm_too_slow_to_turn_on_a_plateau_is_found_where_noise_turns():
+    slow = replace(ARM, frequency=12.0, lag=0.03)
+    rng = np.random.default_rng(3)
+    courses = replace(staircase(rng, 2e-4, slow), noise=np.array([2e-5]))
+    found = arm_of(courses, CONTACTS)
+    assert found.frequency == pytest.approx(slow.frequency, rel=0.02)
+    assert found.lag == pytest.approx(slow.lag, rel=0.05)
 
 
 def test_an_arm_that_does_not_swing_is_none():
