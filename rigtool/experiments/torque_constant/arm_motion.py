@@ -9,6 +9,9 @@ w and l are unknown. They are fitted to the courses of all plateaus together, so
 have hardly any noise of the gauge. Noise in the swing of each step alone would count as path of
 friction: less friction then fits the staircase, and the slope comes out low (errors in variables;
 R. J. Carroll et al., Measurement Error in Nonlinear Models, 2nd ed., 2006, section 1.1).
+
+The motion has the state z of friction itself. Turns that a course shows count only above its noise,
+and without the smaller ones friction seems to do less.
 """
 
 from __future__ import annotations
@@ -22,8 +25,12 @@ from rigtool.experiments.torque_constant.swings import LARGEST_DAMPING, Courses,
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
 
-FINEST_ANGLE = 0.05
+FINEST_ANGLE = 0.1
 """Angle of the arm's oscillation in one step of the integration, rad."""
+
+STRIDE = 1.5
+"""Ratio of the natural frequencies of arms with one of which the search begins; the slowest of them
+swings half a period on a plateau."""
 
 RANGE = math.log(5.0)
 """Natural frequency and lag are searched up to this beyond where the search begins, logarithm."""
@@ -69,9 +76,22 @@ class Arm:
 
     def swings(self, courses: Courses, contacts: Contacts) -> Array:
         """Return the swings (g, p, c) of (1) about where the arm comes to rest, N m."""
-        swings: Array = np.empty(courses.course.shape)
+        swings, _, _ = self._motion(courses, contacts)
+        settled = swings[:, :, courses.course.shape[2] // 2 :]
+        swings -= settled.mean(axis=2, keepdims=True)
+        return swings
+
+    def friction_state(self, courses: Courses, contacts: Contacts) -> tuple[Array, Array]:
+        """Return a and b (g, p) of the friction's state z = a + b z0 after each plateau."""
+        _, state, kept = self._motion(courses, contacts)
+        return state - kept * contacts.state[:, :1], kept
+
+    def _motion(self, courses: Courses, contacts: Contacts) -> tuple[Array, Array, Array]:
+        """Return torques (g, p, c) N m, states of friction (g, p) and dz/dz0 (g, p)."""
+        torque: Array = np.empty(courses.course.shape)
+        state, kept = np.empty((2, *courses.torque.shape))
         drive = courses.torque + contacts.level * contacts.state
-        for number, swing in enumerate(swings):
+        for number in range(len(torque)):
             _move(
                 drive[number],
                 courses.part[number] / self.steps,
@@ -79,11 +99,11 @@ class Arm:
                 (self.frequency, self.lag),
                 (contacts.level, contacts.transition, contacts.exponent),
                 (courses.torque[number, 0], contacts.state[number, 0]),
-                swing,
+                torque[number],
+                state[number],
+                kept[number],
             )
-        settled = swings[:, :, courses.course.shape[2] // 2 :]
-        swings -= settled.mean(axis=2, keepdims=True)
-        return swings
+        return torque, state, kept
 
 
 def arm_of(courses: Courses, contacts: Contacts) -> Arm | None:
@@ -92,9 +112,7 @@ def arm_of(courses: Courses, contacts: Contacts) -> Arm | None:
     if slowest is None:
         return None
     measured = courses.course + courses.dropped - courses.torque[:, :, None]
-    start = np.log([2 * LARGEST_DAMPING / slowest, slowest / 4])
-    angle = math.exp(start[0]) * float(np.max(courses.part))
-    steps = max(math.ceil(angle / FINEST_ANGLE), 1)
+    longest = float(np.max(courses.part))
 
     def arm(logarithms: Array) -> Arm:
         frequency, lag = np.exp(logarithms).tolist()
@@ -106,6 +124,14 @@ def arm_of(courses: Courses, contacts: Contacts) -> Arm | None:
 
     from scipy.optimize import least_squares
 
+    # Noise on the swing of a slow arm passes for turns of a fast one.
+    fastest = 2 * LARGEST_DAMPING / slowest
+    slower = math.log(fastest * courses.course.shape[2] * longest / math.pi) / math.log(STRIDE)
+    frequencies = fastest * STRIDE ** -np.arange(max(math.floor(slower), 0) + 1.0)
+    steps = max(math.ceil(fastest * longest / FINEST_ANGLE), 1)
+    starts = np.log(np.stack([frequencies, LARGEST_DAMPING / 2 / frequencies], axis=1))
+    start = min(starts, key=lambda one: float(np.sum(left(one) ** 2)))
+    steps = max(math.ceil(math.exp(start[0]) * longest / FINEST_ANGLE), 1)
     bounds = (start - RANGE, start + RANGE)
     found = least_squares(left, start, bounds=bounds, diff_step=np.full(2, 1e-4))
     return arm(found.x)
@@ -120,8 +146,11 @@ def _move(
     contacts: tuple[float, float, float],
     start: tuple[float, float],
     torque: Array,
+    state: Array,
+    kept: Array,
 ) -> None:
-    """Move the arm under motor torques (p,) N m by (1) and write the gauge's `torque` (p, c) N m.
+    """Move the arm under motor torques (p,) N m by (1) and write the gauge's `torque` (p, c) N m,
+    the `state` z (p,) of friction after each plateau and its derivative `kept` (p,) at z0.
 
     `step` (p,) s is that of the integration, `steps` to a value of the course; the damping acts
     with the mean of the speeds before and after (leapfrog: Hairer, Lubich and Wanner, Geometric
@@ -130,7 +159,7 @@ def _move(
     frequency, lag = arm
     level, transition, exponent = contacts
     x, z = start
-    speed = 0.0
+    speed, slope = 0.0, 1.0
     for j in range(len(drive)):
         push = frequency * frequency * step[j]
         drag = push * lag / 2.0
@@ -144,9 +173,12 @@ def _move(
                 x += way
                 side = math.copysign(1.0, way)
                 left = 1.0 - side * z
-                if exponent == 1.0:
-                    left /= 1.0 + abs(way) / transition
-                elif left > 0.0:
-                    left = max(left - abs(way) / transition * left**exponent, 0.0)
-                z = side * (1.0 - left)
+                if left > 0.0:
+                    if exponent == 1.0:
+                        after = left / (1.0 + abs(way) / transition)
+                    else:
+                        after = max(left - abs(way) / transition * left**exponent, 0.0)
+                    slope *= max(1.0 - exponent * (1.0 - after / left), 0.0)
+                    z = side * (1.0 - after)
             torque[j, part] = total / steps
+        state[j], kept[j] = z, slope

@@ -1,4 +1,4 @@
-"""What is possible for friction, of what least squares find of it.
+"""What is possible for friction and for heat, of what least squares find of them.
 
 Friction f opposes motion, and its state z0 before a staircase is within -1 to 1. Of the normal
 distribution that least squares give f and h = f z0, only the part
@@ -7,7 +7,7 @@ distribution that least squares give f and h = f z0, only the part
 
 is possible: its probability, and its mean, are those of friction (A. Gelman et al., Bayesian Data
 Analysis, 3rd ed., 2013, section 2.8). Where contacts bend further than the arm moves, noise makes f
-negative in many staircases that have friction.
+negative in many staircases that have friction. Heat lowers the constant: its loss is positive.
 """
 
 from __future__ import annotations
@@ -72,3 +72,14 @@ def possible(mean: Array, covariance: Array, largest: float) -> Possible:
     spread = np.einsum("...k,i...k,j...k->...ij", weight, off, off)
     spread[..., 1, 1] += np.sum(weight * variance, axis=-1)
     return Possible(logarithm, np.moveaxis(shift, 0, -1), spread)
+
+
+def positive(mean: Array, sigma: Array) -> tuple[Array, Array]:
+    """Return the logarithm of the probability that normal distributions (...,) are positive, and
+    how far the mean of that part is from that of the whole (N. L. Johnson et al., Continuous
+    Univariate Distributions, 2nd ed., 1994, section 13.10.1)."""
+    from scipy.special import log_ndtr
+
+    ratio = mean / sigma
+    logarithm: Array = log_ndtr(ratio)
+    return logarithm, sigma * np.exp(-(ratio**2) / 2 - logarithm) / math.sqrt(2 * math.pi)

@@ -8,15 +8,19 @@ scatter is unknown, its probability for n independent residuals is
     p = Q^(-n/2) / sum over all hypotheses,
 
 even in the logarithms of s, lag and tau (A. Gelman et al., Bayesian Data Analysis, 3rd ed., 2013,
-section 3.2). Friction opposes motion: hypotheses that want the opposite have none; those in which
-heat raises the constant count without heat, since no magnet gains by it. The spread of
-the torque constants of all hypotheses is the uncertainty due to what the data do not show: friction
-whose contacts bend further than the arm moves is a spring beside the arm, and no staircase shows
-its stiffness.
+section 3.2). Friction opposes motion: hypotheses that want the opposite have none. No magnet gains
+by heat, so that of a loss by heat only the positive part is possible: if each hypothesis had one,
+noise alone would raise the constant. Each is therefore tried without such a loss, too, as probable
+beforehand as all sizes of the loss together, of which half a normal distribution has the width that
+a single residual leaves (R. E. Kass, L. Wasserman, J. Am. Stat. Assoc. 90, 928, 1995). The spread
+of the torque constants of all hypotheses is the uncertainty due to what the data do not show:
+friction whose contacts bend further than the arm moves is a spring beside the arm, and no staircase
+shows its stiffness.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import product
 
@@ -110,12 +114,12 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
     # The gauge's noise is also in the path, where it would count as evidence against friction.
     ways = ways_of(stairs)
     coarse = _joined([_search(means, way, 0) for way in ways])
-    means.smooth(coarse.commons[int(np.argmin(coarse.square))])
-    found = weighed(means, ways)
-    means.find_arm(found.best)
+    means.smooth(coarse.best())
+    means.find_arm(coarse.best())
     if means.arm is not None:
-        found = weighed(means, [(means.arm.lag, means.arm.lag)])
-        means.move_arm(found.best)
+        ways = [(means.arm.lag, means.arm.lag)]
+    found = weighed(means, ways)
+    means.move_arm(found.best)
     probable = found.probable()
     mean = probable @ found.slope
     spread = np.sqrt(probable @ ((found.slope - mean) ** 2 + found.variance))
@@ -125,37 +129,44 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
 def weighed(means: MeanStaircases, ways: list[tuple[float, float] | None]) -> Weighed:
     """Return all hypotheses, along paths of these lags."""
     tried = _joined([_search(means, way, FINER_GRIDS) for way in ways])
-    best = tried.commons[int(np.argmin(tried.square))]
+    best = tried.best()
     count = max(means.independent(best), FEWEST_RESIDUALS)
-    return Weighed(best, tried.volume, tried.square, count, tried.slope, tried.variance)
+    # Half a normal distribution as wide as one residual leaves the loss by heat, of each kind.
+    shows = (2 / math.sqrt(1 + count / means.kinds)) ** means.kinds
+    volume = tried.volume[:, None] * np.array([1.0, shows])
+    slope, variance = (each.reshape(-1, 3) for each in (tried.slope, tried.variance))
+    return Weighed(best, volume.ravel(), tried.square.ravel(), count, slope, variance)
 
 
 @dataclass(frozen=True)
 class _Tried:
-    """Hypotheses (n,), at places (n, 3 or 4) of a grid, and what they leave.
+    """Hypotheses, at places (n, 4) of a grid in the logarithms of s, tau, the exponent and the lag
+    (NaN where there is none), each without a loss by heat and with one, and what they leave.
 
-    `volume` (n,) is the part of the grid that each represents, `square` (n,) is Q, `slope` (n, 3)
-    the mean of the torque constants, their change with temperature, and the loss by heat.
+    `volume` (n,) is the part of the grid that each represents, `free` (n, 2) whether it has no
+    friction, `square` (n, 2) is Q, `slope` (n, 2, 3) the mean of the torque constants, their change
+    with temperature, and the loss by heat.
     """
 
-    commons: list[Common]
     place: Array
     volume: Array
+    free: Array
     square: Array
     slope: Array
     variance: Array
 
+    def best(self) -> Common:
+        """Return the hypothesis that leaves least."""
+        least = np.unravel_index(int(np.argmin(self.square)), self.square.shape)
+        s, tau, exponent, lag = np.exp(self.place[least[0]]).tolist()
+        free = bool(self.free[least])
+        return Common(None if free else s, exponent, None if math.isnan(lag) else lag, tau)
+
 
 def _joined(parts: list[_Tried]) -> _Tried:
-    """Return all hypotheses of several grids; their places stay behind."""
-    return _Tried(
-        [common for part in parts for common in part.commons],
-        np.empty((0, 0)),
-        np.concatenate([part.volume for part in parts]),
-        np.concatenate([part.square for part in parts]),
-        np.concatenate([part.slope for part in parts]),
-        np.concatenate([part.variance for part in parts]),
-    )
+    """Return all hypotheses of several grids."""
+    names = vars(parts[0])
+    return _Tried(**{name: np.concatenate([vars(part)[name] for part in parts]) for name in names})
 
 
 def ways_of(stairs: Stairs) -> list[tuple[float, float] | None]:
@@ -185,12 +196,14 @@ def _search(means: MeanStaircases, lag: tuple[float, float] | None, finer: int) 
         axes = [np.linspace(b, e, n) for b, e, n in zip(begin, end, numbers, strict=True)]
         step = (end - begin) / np.maximum(np.array(numbers) - 1, 1)
         for part in found:  # the finer grid stands for its part of the coarse one
-            part.volume[np.all((part.place >= begin) & (part.place <= end), axis=1)] = 0.0
-        place = np.array(list(product(*axes)))
+            before = part.place[:, : len(begin)]
+            part.volume[np.all((before >= begin) & (before <= end), axis=1)] = 0.0
+        place = np.full((math.prod(numbers), 4), np.nan)
+        place[:, : len(axes)] = list(product(*axes))
         volume = np.full(len(place), np.prod(step[wide] / (high - low)[wide]))
-        commons, square, slope, variance = means.try_all(axes)
-        found.append(_Tried(commons, place, volume, square, slope, variance))
-        centre, half = place[int(np.argmin(square))], 1.5 * step
+        found.append(_Tried(place, volume, *means.try_all(axes)))
+        best = int(np.argmin(found[-1].square.min(axis=1)))
+        centre, half = place[best, : len(axes)], 1.5 * step
     return _joined(found)
 
 

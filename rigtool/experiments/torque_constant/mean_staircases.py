@@ -13,11 +13,16 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from rigtool.experiments.torque_constant.arm_motion import Arm, Contacts, arm_of
-from rigtool.experiments.torque_constant.friction_cone import possible
-from rigtool.experiments.torque_constant.staircase_model import Common, Stairs, mean_of, winding
+from rigtool.experiments.torque_constant.friction_cone import positive, possible
+from rigtool.experiments.torque_constant.staircase_model import (
+    Common,
+    Stairs,
+    mean_of,
+    warming,
+    winding,
+)
 from rigtool.experiments.torque_constant.swings import friction_state, paths, straight_path
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.residual_covariance import independent_samples
@@ -50,7 +55,7 @@ class MeanStaircases:
         ]
         self._torque = np.stack([torque, np.stack(combined)], axis=2)  # (g, p, 2)
         self._span = float(np.ptp(torque))
-        self.dof = int(self._weight.sum()) - PARAMETERS * len(self._members)
+        self.dof = int(self._weight.sum()) - PARAMETERS * self.kinds
 
     def _mean(self, values: Array) -> Array:
         return np.stack([values[those].mean(axis=0) for those in self._members])
@@ -71,92 +76,136 @@ class MeanStaircases:
         return list(paths(courses, courses.torque, courses.course, some))
 
     def _friction(
-        self, way: Array, transition: ArrayLike, exponent: ArrayLike
+        self, transition: Array, exponents: Array, lags: Sequence[float | None]
     ) -> tuple[Array, Array]:
-        a, b = friction_state(way, transition, exponent)
-        return -a * self._weight, -b * self._weight  # (..., g, p)
+        """Return columns of f and f z0 for each exponent, transition and lag, (e, s, l, g, p).
 
-    def try_all(self, axes: list[Array]) -> tuple[list[Common], Array, Array, Array]:
-        """Return all hypotheses of a grid, their Q (n,), slopes (n, 3) and variances of these by
-        what is possible for friction: mean, trend, loss by heat."""
+        Once the arm is known, friction follows its motion, which depends on friction, too.
+        """
+        ways = np.stack(self._ways(lags), axis=1)
+        a, b = friction_state(ways, transition[:, None, None], exponents[:, None, None, None])
+        shape, (a, b) = a.shape, (-each * self._weight for each in (a, b))
+        if self.arm is None:
+            return a, b
+        levels = self._levels(
+            self._time_constant, *(each.reshape(-1, *self._weight.shape) for each in (a, b))
+        )
+        own = []
+        for level, state, (exponent, s) in zip(
+            *levels, product(exponents.tolist(), transition.tolist()), strict=True
+        ):
+            contacts = Contacts(float(level), state, s, exponent)
+            own.append(self.arm.friction_state(self.stairs.courses, contacts))
+        a, b = -np.stack(own, axis=1) * self._weight
+        return a.reshape(shape), b.reshape(shape)
+
+    def _friction_under(self, common: Common) -> tuple[Array, Array]:
+        """Return columns of f and f z0 (g, p) under a hypothesis that has friction."""
+        s, exponent = np.array([common.transition]), np.array([common.exponent])
+        a, b = self._friction(s, exponent, [common.lag])
+        return a[0, 0, 0], b[0, 0, 0]
+
+    def friction_of_each(self, common: Common) -> tuple[Array, ...]:
+        """Return columns of f and f z0 of each staircase (m, p), or nothing without friction.
+
+        It is that of the arm's motion under the torque of each. Ripple acts with a lag: what that
+        does to the turns of the arm is added.
+        """
+        if common.transition is None:
+            return ()
+        courses, kind = self.stairs.courses, self.stairs.courses.kind
+
+        def by_turns(way: Array) -> Array:
+            return np.stack(friction_state(way, common.transition or 0.0, common.exponent))
+
+        if common.lag is None:
+            own = by_turns(straight_path(courses)[:, kind])
+        else:
+            torque, *both = courses.of_each()
+            own, at_once = (
+                by_turns(paths(courses, torque, course, [common.lag])[0]) for course in both
+            )
+            if self.arm is not None:
+                contacts = self.contacts(common)
+                state = at_once[0] + at_once[1] * contacts.state[kind][:, :1]
+                contacts = replace(contacts, state=np.clip(state, -1.0, 1.0))
+                each = replace(courses, torque=torque, course=both[0], part=courses.part[kind])
+                own += self.arm.friction_state(each, contacts) - at_once
+        a, b = -own * self.stairs.weight
+        return a, b
+
+    def try_all(self, axes: list[Array]) -> tuple[Array, Array, Array, Array]:
+        """Return what all hypotheses of a grid leave, each without a loss by heat and with one.
+
+        That is where they have no friction (n, 2), their Q (n, 2), slopes (n, 2, 3) and variances
+        of these by what is possible for friction: mean, trend, loss by heat.
+        """
         transition, tau, exponents = (np.exp(axis) for axis in axes[:3])
         lags: list[float | None] = [None]
-        if len(axes) > 3:
-            lags = list(np.exp(axes[3]).tolist())
         if self.arm is not None:
             lags = [self.arm.lag]
-            ways = self._own_ways(self.arm, transition, exponents)
-        else:
-            ways = np.stack(self._ways(lags), axis=1)
-        columns = self._friction(ways, transition[:, None, None], exponents[:, None, None, None])
+        elif len(axes) > 3:
+            lags = list(np.exp(axes[3]).tolist())
+        columns = self._friction(transition, exponents, lags)
         shape = (len(tau), *columns[0].shape[:3])
-        fits = [
-            self._fit(*thermal, [each.reshape(-1, *self._weight.shape) for each in pair])
-            for thermal in map(self.thermal, tau.tolist())
-            for pair in zip(*columns, strict=True)
-        ]
-        square, slope, spread, free = (
-            np.moveaxis(np.reshape(parts, (*shape, *parts[0].shape[1:])), 2, 0)
+        each = [column.reshape(-1, *self._weight.shape) for column in columns]
+        fits = [self._fit(*self.thermal(time_constant), each) for time_constant in tau.tolist()]
+        free, square, slope, variance = (
+            np.moveaxis(np.reshape(parts, (*shape, *parts[0].shape[1:])), 2, 0).reshape(
+                -1, *parts[0].shape[1:]
+            )
             for parts in zip(*fits, strict=True)
         )
-        commons = [
-            Common(None if without else float(s), float(exponent), lag, float(t))
-            for (s, t, exponent, lag), without in zip(
-                product(transition, tau, exponents, lags), free.ravel(), strict=True
-            )
-        ]
-        slope, spread = slope.reshape(-1, 3), spread.reshape(-1, 3)
-        warming = np.array([common.warming() for common in commons])
-        slope[:, 2] *= warming
-        spread[:, 2] *= warming**2
-        return commons, square.ravel(), slope, spread
+        warm = np.broadcast_to(warming(tau)[:, None, None], (len(transition), *shape[:2], shape[3]))
+        slope[..., 2] *= warm.reshape(-1, 1)
+        variance[..., 2] *= warm.reshape(-1, 1) ** 2
+        return free, square, slope, variance
 
     def _fit(self, current: Array, lost: Array, friction: Sequence[Array]) -> tuple[Array, ...]:
-        """Return Q (s,), slopes (s, 3) and their variances (s, 3), and where least squares find no
-        friction (s,)."""
-        *fits, added = self._fit_columns(current, [lost], friction)
-        gains = added > 0  # as no magnet does by heat
-        if not gains.any():
-            return tuple(fits)
-        *cold, _ = self._fit_columns(current, [], friction)
-        return tuple(
-            np.where(np.reshape(gains, (-1, *[1] * (one.ndim - 1))), other, one)
-            for one, other in zip(fits, cold, strict=True)
-        )
+        """Return, without a loss by heat and with one, where least squares find no friction (s, 2),
+        Q (s, 2), slopes (s, 2, 3) and their variances (s, 2, 3)."""
+        both = [self._fit_columns(current, heat, friction) for heat in ([], [lost])]
+        return tuple(np.stack(parts, axis=1) for parts in zip(*both, strict=True))
 
     def _fit_columns(
         self, current: Array, lost: list[Array], friction: Sequence[Array]
-    ) -> tuple[Array, Array, Array, Array, Array]:
-        """Return what `_fit` does, and what heat adds (s,)."""
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return what `_fit` does, for columns without a loss by heat or with one."""
         q, r = self._factors(current, lost, friction)
         projected = np.swapaxes(q, 2, 3) @ self._torque
         rest = self._torque[..., 0] - (q @ projected[..., :1])[..., 0]
         square = np.sum(rest**2, axis=2) @ self._share
-        found: Array = np.asarray(np.linalg.solve(r, projected), dtype=np.float64)
+        variance = (np.maximum(square, 1e-300) / self.dof)[:, None, None, None]
+        # The inverse of a leading block of a triangle is the leading block of its inverse.
         inverse: Array = np.asarray(np.linalg.inv(r), dtype=np.float64)
-        level = found[..., -3, 0] @ self._share
-        cover = inverse[..., -3:-1, :] @ np.swapaxes(inverse[..., -3:-1, :], 2, 3)
-        variance = np.maximum(square, 1e-300) / self.dof
-        cover *= variance[:, None, None, None]
-        left = possible(found[..., -3:-1, 0], cover, LARGEST_FRICTION * self._span)
-        # Far beyond what is possible, this is the sum of squares at the closest that is.
-        square = square * (1 - 2 * left.logarithm.sum(axis=1) / self.dof)
-        square = np.where(level > LARGEST_FRICTION * self._span, np.inf, square)
+        found = (inverse @ projected)[..., -3:-1, 0]
+        cover = inverse[..., -3:-1, :] @ np.swapaxes(inverse[..., -3:-1, :], 2, 3) * variance
+        left = possible(found, cover, LARGEST_FRICTION * self._span)
+        logarithm = left.logarithm
+        level = found[..., 0] @ self._share
         # The ripple's i |i| averages out over angles; as a column it would take most of the slope.
-        found = np.linalg.solve(r[..., :-1, :-1], projected[..., :-1, :])[..., :-2, :]
+        found = (inverse[..., :-1, :-1] @ projected[..., :-1, :])[..., :-2, :]
         # All else follows what is possible for friction.
-        follows = -np.linalg.solve(r[..., :-3, :-3], r[..., :-3, -3:-1])
+        others = inverse[..., :-3, :-3]
+        follows = -others @ r[..., :-3, -3:-1]
         found[..., 0] += np.einsum("sgcf,sgf->sgc", follows, left.shift)
+        varied = np.einsum("sgcf,sgfh,sgdh->sgcd", follows, left.covariance, follows)
+        if lost:  # no magnet gains by heat
+            cover = others @ np.swapaxes(others, 2, 3) * variance + varied
+            chance, shift = positive(-found[..., 3, 0], np.sqrt(cover[..., 3, 3]))
+            found[..., 0] -= cover[..., 3] * (shift / cover[..., 3, 3])[..., None]
+            logarithm = logarithm + chance
+        # Far beyond what is possible, this is the sum of squares at the closest that is.
+        square = square * (1 - 2 * logarithm.sum(axis=1) / self.dof)
+        square = np.where(level > LARGEST_FRICTION * self._span, np.inf, square)
         mean = found[..., 0, 0] @ self._share
         slope, spread = np.zeros((2, len(mean), 3))
         slope[:, 0], slope[:, 1] = mean, np.sum(found[..., 0, 1], axis=1)
-        varied = np.einsum("sgcf,sgfh,sgch->sgc", follows, left.covariance, follows)
-        spread[:, 0] = varied[..., 0] @ self._share**2
-        added = np.zeros(mean.shape)
+        spread[:, 0] = varied[..., 0, 0] @ self._share**2
         if lost:
-            added = found[..., 3, 0] @ self._share
-            slope[:, 2], spread[:, 2] = -added / mean, varied[..., 3] @ self._share**2 / mean**2
-        return square, slope, spread * (level <= 0)[:, None], level <= 0, added
+            slope[:, 2] = -(found[..., 3, 0] @ self._share) / mean
+            spread[:, 2] = varied[..., 3, 3] @ self._share**2 / mean**2
+        return level <= 0, square, slope, spread * (level <= 0)[:, None]
 
     def _factors(
         self, current: Array, lost: list[Array], friction: Sequence[Array]
@@ -196,23 +245,26 @@ class MeanStaircases:
         current, lost = self.thermal(common.time_constant)
         columns = [current, self._weight, self._step, lost]
         if common.transition is not None:
-            (way,) = self._ways([common.lag])
-            columns += self._friction(way, common.transition, common.exponent)
+            columns += self._friction_under(common)
         return columns
+
+    @property
+    def kinds(self) -> int:
+        """Number of mean staircases."""
+        return len(self._members)
 
     @property
     def plateaus(self) -> float:
         """Plateaus of a mean staircase."""
-        return float(self._weight.sum()) / len(self._members)
+        return float(self._weight.sum()) / self.kinds
 
     def contacts(self, common: Common) -> Contacts:
         """Return friction under a hypothesis: its largest torque, 0 where it has none, and its
         state on each plateau."""
         if common.transition is None:
             return Contacts(0.0, np.zeros(self._weight.shape), 1.0, 1.0)
-        (way,) = self._ways([common.lag])
-        friction = self._friction(way, common.transition, common.exponent)
-        (level,), (state,) = self._levels(common.time_constant, *(each[None] for each in friction))
+        friction = (each[None] for each in self._friction_under(common))
+        (level,), (state,) = self._levels(common.time_constant, *friction)
         return Contacts(float(level), state, common.transition, common.exponent)
 
     def _levels(self, time_constant: float, a: Array, b: Array) -> tuple[Array, Array]:
@@ -225,24 +277,6 @@ class MeanStaircases:
         state = np.clip(-along / np.maximum(level, 1e-300)[:, None, None], -1.0, 1.0)
         return np.clip(level, 0.0, LARGEST_FRICTION * self._span), state
 
-    def _own_ways(self, arm: Arm, transition: Array, exponents: Array) -> Array:
-        """Return the path of each transition (s,) and exponent (e,) of friction, (TURNS + 2, e, s,
-        1, g, p) N m: how far the arm swings depends on friction, too."""
-        courses = self.stairs.courses
-        (way,) = self._ways([arm.lag])
-        columns = self._friction(way, transition[:, None], exponents[:, None, None])
-        shape = columns[0].shape
-        each = (column.reshape(-1, *shape[2:]) for column in columns)
-        found = []
-        for level, state, (exponent, s) in zip(
-            *self._levels(self._time_constant, *each), product(exponents, transition), strict=True
-        ):
-            contacts = Contacts(float(level), state, float(s), float(exponent))
-            moved = arm.moved(courses, contacts)
-            found.append(paths(moved, moved.torque, moved.course, [arm.lag])[0])
-        ways = np.stack(found, axis=1)
-        return ways.reshape(len(ways), *shape[:2], 1, *shape[2:])
-
     def residual(self, common: Common) -> Array:
         """Return the residual of (1) with the ripple's i |i| on the mean staircases, (g p,) N m."""
         columns = self.columns(common)
@@ -252,7 +286,7 @@ class MeanStaircases:
     def independent(self, common: Common) -> float:
         """Return how many independent residuals a hypothesis leaves, less its parameters."""
         residual, used = self.residual(common), self._weight.ravel() > 0
-        return independent_samples(residual, used, 1) - PARAMETERS * len(self._members)
+        return independent_samples(residual, used, 1) - PARAMETERS * self.kinds
 
 
 def left_by(columns: list[Array], torque: Array) -> Array:

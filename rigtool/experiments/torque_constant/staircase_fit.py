@@ -22,10 +22,8 @@ from rigtool.experiments.torque_constant.staircase_levels import (
     straight_slope,
 )
 from rigtool.experiments.torque_constant.staircase_model import (
-    Common,
     Stairs,
     arrange,
-    friction_columns,
     mean_of,
     winding,
 )
@@ -119,7 +117,8 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     coefficient = _about(stairs)
     hypotheses = weigh_hypotheses(stairs, coefficient, trend)
     stairs, best = hypotheses.means.stairs, hypotheses.weighed.best
-    solution = _solve(stairs, best, coefficient, rise)
+    friction = hypotheses.means.friction_of_each(best)
+    solution = _solve(stairs, best.time_constant, friction, coefficient, rise)
     lasting, lasting_u = loss_by_heat(hypotheses)
     constant = hypotheses.constant
     share = abs(straight_slope(stairs) / constant - 1 + solution.heating)
@@ -202,19 +201,24 @@ class _Solution:
     off_line: Array
 
 
-def _solve(stairs: Stairs, common: Common, coefficient: float, rise: Array) -> _Solution:
+def _solve(
+    stairs: Stairs,
+    time_constant: float,
+    friction: tuple[Array, ...],
+    coefficient: float,
+    rise: Array,
+) -> _Solution:
     """Solve (1), linear in all that is left, for all staircases.
 
     Each has a slope, a zero and a state of the friction at its beginning of its own; what a
-    step leaves behind and friction are common to all; friction may change with the temperature,
-    `rise` (m,) in K.
+    step leaves behind and friction, with columns `friction` (m, p), are common to all; friction may
+    change with the temperature, `rise` (m,) in K.
     """
-    heat, warmth = winding(stairs, common.time_constant)
+    heat, warmth = winding(stairs, time_constant)
     temperature = mean_of(warmth, stairs.weight)
     # The loss of the constant by a kelvin is the same at all temperatures, not its relative loss.
     size = (1 + coefficient * rise)[:, None]
     current = stairs.current * (1 + coefficient / size * (warmth - temperature[:, None]))
-    friction = friction_columns(stairs, common)
     own = [stairs.weight, *friction[1:]]
     shared = [stairs.last_step, *friction[:1], *(rise[:, None] * a for a in friction[:1])]
     warmed = _LeastSquares(stairs.torque, [current, current * heat / size, *own], shared)

@@ -19,20 +19,14 @@ parameters.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.staircase import Plateaus
-from rigtool.experiments.torque_constant.swings import (
-    Courses,
-    friction_state,
-    mean_courses,
-    paths,
-    straight_path,
-)
+from rigtool.experiments.torque_constant.swings import Courses, mean_courses
 from rigtool.numerics.arrays import Array
 
 COPPER_COEFFICIENT = 3.93e-3
@@ -40,6 +34,13 @@ COPPER_COEFFICIENT = 3.93e-3
 
 HEATING_TIME = 60.0
 """Time for which a current flows whose heat is stated, s."""
+
+
+def warming(time_constant: ArrayLike, time: float = HEATING_TIME) -> Array:
+    """Return w of (1) over the square of a current that has flown for `time` s, for time constants
+    (...,) in s, s."""
+    tau = np.asarray(time_constant)
+    return np.asarray(-tau * np.expm1(-time / tau))
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ class Common:
 
     def warming(self, time: float = HEATING_TIME) -> float:
         """Return w of (1) over the square of a current that has flown for `time` s, s."""
-        return -self.time_constant * math.expm1(-time / self.time_constant)
+        return float(warming(self.time_constant, time))
 
 
 def arrange(plateaus: Plateaus) -> Stairs:
@@ -168,16 +169,3 @@ def winding(stairs: Stairs, time_constant: float) -> tuple[Array, Array]:
     middle = (stairs.begin + stairs.end) / 2 - stairs.begin[:, :1]
     heat = (before + after) / 2 + np.array(left)[:, None] * np.exp(-middle / time_constant)
     return heat, stairs.temperature + lag
-
-
-def friction_columns(stairs: Stairs, common: Common) -> tuple[Array, ...]:
-    """Return -a and -b (m, p) of the friction's state z = a + b z0, or nothing without friction."""
-    if common.transition is None:
-        return ()
-    courses = stairs.courses
-    if common.lag is None:
-        swings = straight_path(courses)[:, courses.kind]
-    else:
-        (swings,) = paths(courses, *courses.of_each(), [common.lag])
-    a, b = friction_state(swings, common.transition, common.exponent)
-    return -a * stairs.weight, -b * stairs.weight

@@ -48,7 +48,7 @@ class Courses:
     standard deviation of one, and `dropped` (g, p, c) what was taken off the mean courses as
     noise. Each of m staircases is of a `kind` (m,) and differs from its mean by
     `score` (m, r) of r changes: by `torque_rate` (g, r, p) in N m of the settled torques, and in
-    all by the swings `swing_change` (m, p, c), N m.
+    all by the swings `swing_change` (m, p, c), N m; by `at_once` (m, p, c) if ripple had no lag.
     """
 
     setpoint: Array
@@ -61,12 +61,15 @@ class Courses:
     score: Array
     torque_rate: Array
     swing_change: Array
+    at_once: Array
 
-    def of_each(self) -> tuple[Array, Array]:
-        """Return torque (m, p) and course (m, p, c) of each staircase without its own noise."""
+    def of_each(self) -> tuple[Array, Array, Array]:
+        """Return torque (m, p) and course (m, p, c) of each staircase without its own noise, and
+        the course if ripple had no lag."""
         change = np.einsum("mr,mrp->mp", self.score, self.torque_rate[self.kind])
-        course = self.course[self.kind] + change[:, :, None] + self.swing_change
-        return self.torque[self.kind] + change, course
+        course = self.course[self.kind] + change[:, :, None]
+        torque = self.torque[self.kind] + change
+        return torque, course + self.swing_change, course + self.at_once
 
     def less(self, torque: Array, rate: Array) -> Courses:
         """Return the courses without parts (g, p) of their torques and (g, r, p) of the rates."""
@@ -100,7 +103,7 @@ def mean_courses(
 
     swing = course - torque[:, :, None]
     smooth, left, rates = [], [], []
-    score, swing_change = np.empty((len(torque), 3)), np.empty(course.shape)
+    score, (swing_change, at_once) = np.empty((len(torque), 3)), np.empty((2, *course.shape))
     for those in kinds:
         average, left_here = without_noise(
             swing[those].mean(axis=0), noise / math.sqrt(those.sum())
@@ -115,6 +118,7 @@ def mean_courses(
         swing_change[those] = _swing_changes(
             grown, swing[those], average, torque[those].mean(axis=0), part, noise
         )
+        at_once[those] = grown.sum(axis=0)[:, :, None] * average
     courses = mean(torque)
     return Courses(
         setpoint=mean(setpoint),
@@ -127,6 +131,7 @@ def mean_courses(
         score=score,
         torque_rate=np.stack(rates),
         swing_change=swing_change,
+        at_once=at_once,
     )
 
 

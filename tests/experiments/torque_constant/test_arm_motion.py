@@ -18,8 +18,8 @@ ARM = Arm(frequency=55.0, lag=0.011, steps=8)
 CONTACTS = Contacts(6e-3, np.array([[0.0, 0.4, 0.7, 0.8, 0.9, 0.3, -0.2, -0.5, -0.7]]), 0.02, 1.0)
 
 
-def staircase(rng=None, noise=0.0):
-    """Return courses whose swings are those of the arm, with noise."""
+def staircase(rng=None, noise=0.0, arm=ARM):
+    """Return courses whose swings are those of an arm, with noise."""
     torque = 0.01 * LEVELS[None]
     bare = mean_courses(
         LEVELS[None],
@@ -29,17 +29,34 @@ def staircase(rng=None, noise=0.0):
         np.zeros(1),
         noise=1e-9,
     )
-    swings = ARM.swings(bare, CONTACTS)
+    swings = arm.swings(bare, CONTACTS)
     if rng is not None:
         swings = swings + noise * rng.standard_normal(swings.shape)
     return replace(bare, course=torque[:, :, None] + swings, dropped=np.zeros(swings.shape))
 
 
 @pytest.mark.parametrize("exponent", [0.7, 1.0, 1.6])
-def test_swings_are_those_of_the_equation_of_motion(exponent):
+def test_what_is_kept_of_the_state_before_is_its_derivative(exponent):
+    """By differences, where friction is too small to change the motion."""
+    weak = replace(CONTACTS, level=1e-9, exponent=exponent)
+
+    def states(z):
+        moved = replace(weak, state=np.where(np.arange(len(LEVELS)) > 0, weak.state, z))
+        a, b = ARM.friction_state(staircase(), moved)
+        return a[0] + b[0] * z, b[0]
+
+    (above, _), (below, _), (_, kept) = states(1e-4), states(-1e-4), states(0.0)
+    assert_allclose(kept, (above - below) / 2e-4, atol=1e-4)
+    assert 0.05 < kept[1] < 0.9
+
+
+@pytest.mark.parametrize("exponent", [0.7, 1.0, 1.6])
+def test_swings_and_friction_are_those_of_the_equation_of_motion(exponent):
     """By scipy's integrator, plateau by plateau."""
     contacts = replace(CONTACTS, exponent=exponent)
     found = ARM.swings(staircase(), contacts)[0]
+    a, b = ARM.friction_state(staircase(), contacts)
+    state = a[0] + b[0] * contacts.state[0, 0]
     drive = 0.01 * LEVELS + contacts.level * contacts.state[0]
 
     def change(_, at, push):
@@ -57,6 +74,7 @@ def test_swings_are_those_of_the_equation_of_motion(exponent):
         course -= course[PARTS // 2 :].mean()
         assert_allclose(found[j], course, atol=0.02 * 0.01)
         at = solved.y[:, -1]
+        assert state[j] == pytest.approx(at[2], abs=2e-3)
 
 
 def test_the_arm_is_found_in_courses_with_noise():
@@ -64,6 +82,15 @@ def test_the_arm_is_found_in_courses_with_noise():
     found = arm_of(courses, CONTACTS)
     assert found.frequency == pytest.approx(ARM.frequency, rel=0.01)
     assert found.lag == pytest.approx(ARM.lag, rel=0.03)
+
+
+def test_an_arm_too_slow_to_turn_on_a_plateau_is_found_where_noise_turns():
+    slow = replace(ARM, frequency=12.0, lag=0.03)
+    rng = np.random.default_rng(3)
+    courses = replace(staircase(rng, 2e-4, slow), noise=np.array([2e-5]))
+    found = arm_of(courses, CONTACTS)
+    assert found.frequency == pytest.approx(slow.frequency, rel=0.02)
+    assert found.lag == pytest.approx(slow.lag, rel=0.05)
 
 
 def test_an_arm_that_does_not_swing_is_none():

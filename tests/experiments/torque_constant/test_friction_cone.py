@@ -1,9 +1,9 @@
-"""What is possible for friction, against drawn values of which the impossible are left out."""
+"""What is possible for friction and heat, against drawn values without the impossible ones."""
 
 import numpy as np
 import pytest
 
-from rigtool.experiments.torque_constant.friction_cone import possible
+from rigtool.experiments.torque_constant.friction_cone import positive, possible
 
 CASES = [
     ((1.0, 0.2), ((1.0, 0.3), (0.3, 0.5)), 9.0),
@@ -40,3 +40,18 @@ def test_what_is_impossible_is_finite_and_improbable(mean):
     f, h = mean + found.shift
     assert 0 <= f <= 9.0
     assert abs(h) <= f
+
+
+@pytest.mark.parametrize("mean", [-2.0, 0.0, 1.5, 6.0])
+def test_the_positive_part_is_that_of_drawn_values(mean):
+    drawn = mean + 0.5 * np.random.default_rng(2).standard_normal(4_000_000)
+    kept = drawn[drawn > 0]
+    logarithm, shift = positive(np.array(mean), np.array(0.5))
+    assert np.exp(logarithm) == pytest.approx(len(kept) / len(drawn), rel=0.1)
+    assert shift == pytest.approx(kept.mean() - mean, abs=0.01)
+
+
+def test_what_is_far_below_zero_ends_just_above_it():
+    logarithm, shift = positive(np.array(-1e3), np.array(1.0))
+    assert -6e5 < logarithm < -4e5
+    assert 0 < -1e3 + shift < 2e-3

@@ -12,6 +12,7 @@ from rigtool.experiments.torque_constant.hypotheses import (
     SHORTEST_TIME_CONSTANT,
     _ranges,
     _search,
+    weighed,
 )
 from rigtool.experiments.torque_constant.staircase import plateaus_of_set_point
 from rigtool.experiments.torque_constant.staircase_fit import fit_staircases
@@ -28,11 +29,10 @@ def test_friction_is_tried_as_well_with_every_time_constant(monkeypatch):
     bench = Bench()
     signals = bench.record((20, 50), angles=2)
     fit_staircases(plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08))
-    best = tried[-1].commons[int(np.argmin(tried[-1].square))]
+    place = tried[-1].place
+    best = place[int(np.argmin(tried[-1].square.min(axis=1)))]
     beside = {
-        round(one.time_constant, 6)
-        for one in tried[-1].commons
-        if one.transition == best.transition and one.exponent == best.exponent
+        round(float(np.exp(one[1])), 6) for one in place if (one[[0, 2]] == best[[0, 2]]).all()
     }
     assert len(beside) >= 11
     assert min(beside) == pytest.approx(SHORTEST_TIME_CONSTANT)
@@ -41,6 +41,9 @@ def test_friction_is_tried_as_well_with_every_time_constant(monkeypatch):
 
 class Bell:
     """Hypotheses as probable as a normal distribution over the logarithms of s, tau, exponent."""
+
+    alike = False
+    """Whether a loss by heat leaves as much as none."""
 
     def __init__(self, centre, width):
         rise = np.linspace(0.0, 0.2, 11)
@@ -53,7 +56,9 @@ class Bell:
         place = np.array(list(product(*axes)))
         self.places.append(place)
         square = np.sum(((place - self.centre) / self.width) ** 2, axis=1)
-        return list(place), square, place, np.zeros(place.shape)
+        both = np.stack([square, square + (0.0 if self.alike else 1.0)], axis=1)
+        slope = np.repeat(place[:, None], 2, axis=1)
+        return np.full(both.shape, False), both, slope, np.zeros(slope.shape)
 
 
 @pytest.mark.parametrize("part", [0.1, 0.2])
@@ -65,10 +70,10 @@ def test_finer_grids_stand_for_their_part_of_the_coarse_one(part):
     np.testing.assert_allclose(np.exp(low), [0.02 / 4, 2.0, 0.5], rtol=1e-9)
     np.testing.assert_allclose(np.exp(high), [2.0, 300.0, 2.0], rtol=1e-9)
     tried = _search(bell, None, 3)
-    weight = tried.volume * np.exp(-tried.square / 2)
+    weight = tried.volume * np.exp(-tried.square[:, 0] / 2)
     weight /= weight.sum()
-    mean = weight @ tried.slope
-    std = np.sqrt(weight @ (tried.slope - mean) ** 2)
+    mean = weight @ tried.slope[:, 0]
+    std = np.sqrt(weight @ (tried.slope[:, 0] - mean) ** 2)
     np.testing.assert_allclose(mean[0], bell.centre[0], atol=0.15 * bell.width[0])
     np.testing.assert_allclose(mean[2], bell.centre[2], atol=0.15 * bell.width[2])
     np.testing.assert_allclose(std[:2] / bell.width[:2], 1, atol=0.2)
@@ -85,6 +90,22 @@ def test_a_single_lag_is_not_searched():
     _search(bell, (0.01, 0.12), 0)
     lags = np.unique(bell.places[-1][:, 3])
     np.testing.assert_allclose(lags[[0, -1]], np.log([0.01, 0.12]))
+
+
+@pytest.mark.parametrize("kinds", [1, 3])
+def test_a_loss_by_heat_that_no_staircase_shows_is_improbable(kinds):
+    """Against the integral of a likelihood of n residuals over half a normal distribution."""
+    bell, independent = Bell(np.zeros(3), 10.0), 35.0
+    bell.independent, bell.kinds = lambda common: kinds * independent, kinds
+    bell.alike = True
+    found = weighed(bell, [None])
+    shown = found.probable().reshape(-1, 2).sum(axis=0)
+    loss = np.linspace(0.0, 60.0, 200_001)  # in standard deviations of what one residual leaves
+    prior = np.sqrt(2 / np.pi) * np.exp(-(loss**2) / 2)
+    likelihood = np.exp(-independent * loss**2 / 2)
+    ratio = np.trapezoid(prior * likelihood, loss) / 0.5
+    # half of the likelihood is possible, which Q has
+    assert shown[1] / shown[0] == pytest.approx(ratio**kinds, rel=1e-3)
 
 
 def test_what_all_staircases_have_in_common_makes_the_loss_by_heat_uncertain():

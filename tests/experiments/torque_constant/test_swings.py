@@ -208,8 +208,10 @@ def test_swings_follow_the_constant_at_once_and_ripple_with_its_lag(lag):
     found = mean_courses(
         np.tile(setpoint, (16, 1)), torque, noisy, np.ones(torque.shape), WARM, noise=0.02
     )
-    own_torque, own_course = found.of_each()
+    own_torque, own_course, without_lag = found.of_each()
     assert_allclose(own_torque, torque, atol=1e-9)
+    swift = (without_lag - of(constant * (1 + RIPPLE), at_once))[:, 1:]
+    assert np.sqrt(np.mean(swift**2)) < 0.02 / 4
     error = (own_course - course)[:, 1:]
     assert np.sqrt(np.mean(error**2)) < 0.02 / 4  # the mean has the noise of 16, or less
     response = np.tensordot(RIPPLE, error, 1) / np.sum(RIPPLE**2)
@@ -235,5 +237,5 @@ def test_few_staircases_swing_as_their_torque_is_large():
     setpoint = np.tile(one.setpoint, (3, 1))
     warm = np.array([20.0, 30.0, 40.0])
     found = mean_courses(setpoint, torque, course, np.ones(torque.shape), warm, noise=1e-9)
-    for mean, own in zip((torque, course), found.of_each(), strict=True):
+    for mean, own in zip((torque, course, course), found.of_each(), strict=True):
         assert_allclose(own, mean, rtol=0, atol=1e-6)

@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.torque_constant.mean_staircases import MeanStaircases
 from rigtool.experiments.torque_constant.ripple_over_turn import (
     first_ripple,
     ripple_over_turn,
@@ -202,7 +203,8 @@ def test_scatter_of_a_change_with_temperature_is_that_of_noise_on_the_plateaus()
     rise = stairs.temperature.mean(axis=1) - stairs.temperature.mean()
     trend = rise / (rise @ rise)
     common = Common(30e-3 * bench.stiffness, 1.0, None, bench.time_constant)
-    solution = _solve(stairs, common, bench.coefficient, rise)
+    friction = MeanStaircases(stairs, bench.coefficient, trend).friction_of_each(common)
+    solution = _solve(stairs, bench.time_constant, friction, bench.coefficient, rise)
     noise = (
         2e-4
         * 0.54
