@@ -118,8 +118,8 @@ def design_filters(recipe: Recipe, plant: Run | None = None) -> FilterDesign:
     nyquist = 0.5 / rig.sample_time
     if settings.robustness_hz >= nyquist:
         raise RecipeError(
-            f"ilc_learn.robustness_hz {settings.robustness_hz:g} Hz reaches half the sampling rate, "
-            f"{nyquist:g} Hz: lower it"
+            f"ilc_learn.robustness_hz {settings.robustness_hz:g} Hz reaches half the sampling "
+            f"rate, {nyquist:g} Hz: lower it"
         )
     nominal = position_loop(**rig.loop_design)
     measured = None if plant is None else measured_loop(plant, recipe, nominal.controller)

@@ -6,11 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-<<<<<<< HEAD
-from rigtool.experiments.torque_constant.arm_motion import Arm
-=======
 from rigtool.experiments.torque_constant.arm_motion import Arm, Contacts
->>>>>>> calib
 from rigtool.experiments.torque_constant.hypotheses import weigh_hypotheses
 from rigtool.experiments.torque_constant.mean_staircases import MeanStaircases
 from rigtool.experiments.torque_constant.staircase import plateaus_of_set_point
@@ -100,22 +96,6 @@ def test_a_hypothesis_leaves_what_least_squares_leave_of_the_mean_staircase(stai
         assert means.independent(common) == independent_samples(rest, used, 1) - 7
 
 
-<<<<<<< HEAD
-def test_under_each_hypothesis_the_arm_swings_with_its_own_friction(stairs):
-    def means():
-        found = MeanStaircases(stairs, -1e-3, np.array([-1.0, -1.0, 1.0, 1.0]) / 60)
-        found.arm, found._time_constant = Arm(60.0, 4e-3, 4), 25.0
-        return found
-
-    axes = [np.log([0.008, 0.03]), np.log([25.0]), np.log([1.2, 2.0])]
-    commons, squares, *_ = means().try_all(axes)
-    assert len({(common.transition, common.exponent) for common in commons}) == 4
-    for common, square in zip(commons, squares, strict=True):
-        alone = means()
-        alone.move_arm(common)
-        rest = alone.residual(common)
-        assert rest @ rest == pytest.approx(square, rel=1e-2)
-=======
 @pytest.fixture(scope="module")
 def swinging_arm():
     """Return mean staircases of two temperatures and two angles, the law of their friction, and the
@@ -182,4 +162,3 @@ def test_friction_of_each_staircase_follows_its_own_torque(swinging_arm, monkeyp
     assert rough > 2 * off
     assert np.ptp(contacts.state[:, 1:], axis=0).max() > 8e-3
     assert means.friction_of_each(replace(law, transition=None)) == ()
->>>>>>> calib
