@@ -30,7 +30,8 @@ PHASES = (0.0, 0.25)
 def step_orders(
     passed: Array, revolutions: int, counts: int, loop: Loop, averaged: int, orders: int
 ) -> Array:
-    """Return the rms amplitudes, N m, that the loop answers the steps with, at orders 1..`orders`.
+    """Return the rms amplitudes, N m, of orders 1..`orders` with which the loop answers the steps,
+    (orders,).
 
     `passed` (n + 1,) is when the rotor passes the edges of n equal cells, those of `revolutions`
     whole turns, s. A recorded sample is the mean of `averaged` ones of the loop. Zero where edges

@@ -43,3 +43,13 @@ def test_the_variation_of_the_speed_is_its_standard_deviation(part):
     place = np.arange(501) / 500
     late = part * np.sqrt(2) * np.sin(2 * np.pi * 5 * place) / (2 * np.pi * 5)
     assert speed_variation(place + late) == pytest.approx(part, rel=1e-3, abs=1e-9)
+
+
+def test_steps_of_the_encoder_in_the_times_of_a_turn_make_no_order():
+    """Edges at order 92 that shift the times, beside order 94 of the torque: no order 2 of it."""
+    edges = np.linspace(0.0, 1.0, 501)
+    elapsed = edges + 2e-4 * np.sin(2 * np.pi * 92 * edges)
+    asked = np.zeros(100, dtype=complex)
+    asked[93] = 1.0
+    found = motor_orders(asked, np.ones(100, dtype=complex) / (1 + 1j * np.arange(1, 101)), elapsed)
+    assert np.abs(found)[1] < 1e-3 * np.abs(found)[93]
