@@ -271,8 +271,9 @@ class PredictionProblem:
             for n in self.shown
             if n >= len(SLIDING_PARAMETERS)
         ]
-        bearing, housing = (
-            2 + len(BY_REST.shape) + kinds.index(kind) for kind in (Kind.BEARING, Kind.HOUSING)
+        bearing, housing, rise = (
+            2 + len(BY_REST.shape) + kinds.index(kind)
+            for kind in (Kind.BEARING, Kind.HOUSING, Kind.STRIBECK)
         )
         finer = self.learned.shape.bearing_length / self.explorations[0].count
         lengths = ([*some, *halved(some[0], finer)] for some in (SHORT, LONG))
@@ -281,6 +282,8 @@ class PredictionProblem:
             parameters[:2] += np.log([short, long])
             more = share * self.friction - parameters[bearing]
             parameters[[bearing, housing]] += [more, -more]
+            # sliding hardly shows the rise at low speed: friction at rest has to be above zero
+            parameters[rise] = max(parameters[rise], -parameters[bearing] / 2)
             yield parameters
 
     def solution(self, begins: Iterable[Array]) -> LearnedModel:

@@ -12,8 +12,8 @@ and inertia besides M. Load friction looks like the low orders of g: the square 
 holds the square of its errors already.
 
 What is followed may be larger than it was learned: along a part of a turn waves look alike, and
-like the housing's friction. So its A^2 is |c|^2 and `UNCERTAIN` times the variance of c, of which
-the prior has the size that the recordings show (`Problem.size_waves`).
+like the housing's friction. So its A^2 is |c|^2 and the variance of c, of which the prior has the
+size that the recordings show (`Problem.size_waves`).
 """
 
 from __future__ import annotations
@@ -30,11 +30,6 @@ from rigtool.numerics.arrays import Array
 
 FOLLOWED = 6
 """Number of orders that are followed: the work of a row grows with the square of their number."""
-
-UNCERTAIN = 6.0
-"""Multiple of the variance of learned waves that counts: the prior's size is that of all orders, of
-which a few hold most of an amplifier's ripple. With 1 or 3, causal scores at another power-up are 8
-or 4 % larger (three development rigs)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +66,8 @@ def learned_ripple(model: ForceModel) -> LearnedRipple:
     gain, bent = waves(Kind.GAIN_RIPPLE), waves(Kind.SQUARE_RIPPLE)
     doubt = np.sum(still @ covariance * still, axis=1).reshape(-1, 2).sum(axis=1)
     other = squares(still, still)
-    drawn = (other + UNCERTAIN * doubt) / 2
-    strongest = np.sort(np.argsort(-other - doubt, kind="stable")[:FOLLOWED])
+    drawn = (other + doubt) / 2
+    strongest = np.sort(np.argsort(-drawn, kind="stable")[:FOLLOWED])
     other[strongest] = 0.0
     growing = squares(gain, gain), 2 * squares(gain, bent), squares(bent, bent)
     return LearnedRipple(

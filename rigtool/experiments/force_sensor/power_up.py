@@ -7,7 +7,7 @@ Of a torque M on the output the filter finds, at the torque factor n,
 with beta what the amplifier's ripple is off from the learned one, c. Either the power-up is another
 one: c + beta has amplitudes A with other phases,
 
-    beta ~ N(-c, A^2 / 2),    A^2 = |c|^2 + a multiple of the variance of c, of each order,
+    beta ~ N(-c, A^2 / 2),    A^2 = |c|^2 + variance of c, of each order,
 
 or the ripple is near the learned one, beta ~ N(0, `CHANGED`^2 A^2 / 2), or it is the learned one.
 

@@ -30,6 +30,7 @@ from rigtool.experiments.torque_constant.staircase_model import (
 from rigtool.experiments.torque_constant.staircase_refusals import (
     require_dithered,
     require_resolution,
+    require_shown,
     require_straight,
 )
 from rigtool.numerics.arrays import Array
@@ -110,6 +111,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     """
     require_resolution(plateaus)
     stairs = arrange(plateaus)
+    require_shown(stairs)
     rise = mean_of(stairs.temperature, stairs.weight)
     rise = rise - rise.mean()
     trend = rise / max(float(rise @ rise), 1e-300)

@@ -16,7 +16,7 @@ from rigtool.experiments.torque_constant.staircase_levels import (
     lines_through,
     straight_slope,
 )
-from rigtool.experiments.torque_constant.staircase_model import Stairs
+from rigtool.experiments.torque_constant.staircase_model import Stairs, mean_of
 from rigtool.numerics.arrays import Array
 
 MISFIT_LIMIT = 5e-3
@@ -30,6 +30,9 @@ LEAST_RISE, FEWEST_TOP_LEVELS = 0.5, 2
 
 SURE = 4.0
 """Standard uncertainties by which a slope must be off to be refused."""
+
+SHOWN = 10.0
+"""Standard uncertainties from zero at which scatter leaves a straight line's slope to be fitted."""
 
 LARGE_FRICTION = 0.03
 """Friction, relative to the span of the torque, that may change a slope by `SLOPE_LIMIT`."""
@@ -57,6 +60,28 @@ def require_resolution(plateaus: Plateaus) -> None:
             f"{span * 1e3:.3g} mN m: fewer than {FEWEST_STEPS} steps; take a finer gauge, a "
             "shorter arm or a higher current_max"
         )
+
+
+def require_shown(stairs: Stairs) -> None:
+    """Raise `InsufficientDataError` where scatter about straight lines hides their slope."""
+    slope, used = straight_slope(stairs), stairs.weight > 0
+    middle = [mean_of(each, stairs.weight)[:, None] for each in (stairs.torque, stairs.current)]
+    current = (stairs.current - middle[1]) * used
+    left = (stairs.torque - middle[0]) * used - slope * current
+    u = math.sqrt(float(np.sum(left**2) / np.sum(used) / np.sum(current**2)))
+    if abs(slope) < SHOWN * u:
+        raise InsufficientDataError(
+            f"torque at the arm follows current by {slope:.2g} N m/A, with a standard uncertainty "
+            f"of {u:.2g} by scatter, a tenth of it at most is needed: {_noisy(stairs)}"
+        )
+
+
+def _noisy(stairs: Stairs) -> str:
+    return (
+        f"readings of the gauge scatter by {stairs.noise:.2g} N m at the arm on a plateau; see to "
+        "the gauge's cable and filter, raise current_max, or hold steps longer by "
+        "calibrate_kt.step_time"
+    )
 
 
 def require_dithered(stairs: Stairs, residual: Array) -> None:
@@ -167,6 +192,8 @@ def _too_much(stairs: Stairs, off_line: Array) -> str:
             f"coarse to separate friction from torque in a staircase of {span * 1e3:.3g} mN m; "
             "take a finer gauge, a shorter arm or a higher current_max"
         )
+    if 2 * stairs.noise > span:
+        return _noisy(stairs)
     friction = hysteresis(stairs, off_line)[0] / 2
     if friction > LARGE_FRICTION * span:
         return (

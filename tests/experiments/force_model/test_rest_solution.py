@@ -185,6 +185,14 @@ def test_the_search_tries_lengths_and_shares_of_the_friction(count, halves):
     assert_allclose(tried[:, rest], np.tile(own.start[rest], (len(tried), 1)))
 
 
+def test_the_search_begins_with_friction_at_rest_whatever_sliding_showed_of_its_rise():
+    own = problem()
+    rise, bearing = 5, 4
+    own.start[rise] = -10 * own.friction
+    tried = np.array([*own.tried()])
+    assert_allclose(tried[:, rise], -tried[:, bearing] / 2)
+
+
 def test_errors_are_corrections_in_deviations_of_what_they_show(monkeypatch):
     rng = np.random.default_rng(6)
     moved, variance = rng.standard_normal(1500), rng.uniform(1, 2, 1500)

@@ -12,7 +12,6 @@ from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
-from rigtool.experiments.force_sensor.drawn_ripple import UNCERTAIN
 from rigtool.experiments.force_sensor.power_up import PowerUp
 from rigtool.experiments.force_sensor.sensor import Sensor
 from tests.experiments.deploy import sensors
@@ -33,7 +32,7 @@ def model(uncertain=0.0, growing=(), waves=LEARNED):
     coefficient = np.array([2e-3, 9e-3, *waves.values(), *(size for *_, size in growing)])
     shape = Shape(2e-3, 8e-3, 5e-3, 0.3, LAG, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3)
     size = len(SLIDING_PARAMETERS) + len(terms)
-    known, covariance = Known(0.85, FACTOR, 2e-5), uncertain**2 / UNCERTAIN * np.eye(size)
+    known, covariance = Known(0.85, FACTOR, 2e-5), uncertain**2 * np.eye(size)
     learned = LearnedModel(tuple(terms), shape, known, coefficient, covariance, np.ones(2))
     return ForceModel(learned, Deviations(STROKE, 0.01, 0.1e-3, 0.15))
 

@@ -10,7 +10,7 @@ from scipy.signal import butter, lfilter
 from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, STATES, TORQUE
 from rigtool.experiments.force_model.model import ROTOR_ORDERS, Kind, Term
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
-from rigtool.experiments.force_sensor.drawn_ripple import FOLLOWED, UNCERTAIN, learned_ripple
+from rigtool.experiments.force_sensor.drawn_ripple import FOLLOWED, learned_ripple
 from rigtool.experiments.force_sensor.lasting_contact import LASTING, LASTS
 from rigtool.experiments.force_sensor.power_up import PowerUp
 from rigtool.experiments.force_sensor.ripple_rows import (
@@ -91,7 +91,7 @@ def test_another_power_up_has_the_amplitude_of_each_order_and_the_doubt_of_still
 
     still, gain, bent = (Kind.RIPPLE, Kind.COGGING), (Kind.GAIN_RIPPLE,), (Kind.SQUARE_RIPPLE,)
     for place, order in enumerate(own.orders):
-        expected = square(still, order, share=UNCERTAIN) / 2
+        expected = square(still, order, share=1.0) / 2
         assert_allclose(own.drawn[2 * place : 2 * place + 2], expected)
     for order in ROTOR_ORDERS:
         # |g + h |i||^2 = g g + 2 g h |i| + h h i^2

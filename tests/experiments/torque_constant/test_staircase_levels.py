@@ -21,6 +21,7 @@ from rigtool.experiments.torque_constant.staircase_levels import (
 from rigtool.experiments.torque_constant.staircase_refusals import (
     require_dithered,
     require_resolution,
+    require_shown,
     require_straight,
 )
 
@@ -226,6 +227,24 @@ def test_a_slope_that_changes_by_more_is_explained(friction, resolution, message
     stairs = staircases(friction=friction, resolution=resolution)
     with pytest.raises(InsufficientDataError, match=message):
         judged(stairs, 2 * CONSTANT)
+    stairs.noise = 0.49 * np.ptp(stairs.torque)
+    with pytest.raises(InsufficientDataError, match=message):
+        judged(stairs, 2 * CONSTANT)
+
+
+@pytest.mark.parametrize(("part", "refused"), [(0.9, False), (1.1, True)])
+def test_a_slope_that_scatter_hides_is_refused(part, refused):
+    """The standard uncertainty of a line by scipy, at a tenth of its slope."""
+    stairs = staircases(friction=0.0, noise=part * CONSTANT, seed=8)
+    used = stairs.weight > 0
+    line = stats.linregress(stairs.current[used], stairs.torque[used])
+    stairs.torque += (10 * part * line.stderr - line.slope) * stairs.current
+    if refused:
+        with pytest.raises(InsufficientDataError, match="hold steps longer"):
+            require_shown(stairs)
+    else:
+        stairs.torque += 0.2 * 10 * line.stderr * stairs.current
+        require_shown(stairs)
 
 
 def test_a_sign_is_to_be_reversed():
