@@ -136,11 +136,13 @@ def require_straight(
     limit = max(MISFIT_LIMIT * float(np.ptp(stairs.torque)), stairs.resolution)
     worst = int(np.argmax(np.abs(mean)))
     if abs(mean[worst]) > max(limit, 4 * u[worst]):
+        friction = _large_friction(stairs, off_line)
         raise InsufficientDataError(
             f"torque at {current[worst]:.3g} A is {mean[worst] * 1e3:.3g} mN m off the line "
-            f"through all currents, limit {limit * 1e3:.3g} mN m: gauge, amplifier or motor is not "
-            "linear there, or the arm still swings; lower current_max, look for an end stop, or "
-            "raise calibrate_kt.step_time and settle_time"
+            f"through all currents, limit {limit * 1e3:.3g} mN m: "
+            f"{friction and friction + '; or '}gauge, amplifier or motor is not linear there, or "
+            "the arm still swings; lower current_max, look for an end stop, or raise "
+            "calibrate_kt.step_time and settle_time"
         )
 
 
@@ -194,13 +196,19 @@ def _too_much(stairs: Stairs, off_line: Array) -> str:
         )
     if 2 * stairs.noise > span:
         return _noisy(stairs)
-    friction = hysteresis(stairs, off_line)[0] / 2
-    if friction > LARGE_FRICTION * span:
-        return (
-            f"friction of the shaft shows {friction * 1e3:.3g} mN m in a staircase of "
-            f"{span * 1e3:.3g} mN m, too much to be taken out; raise current_max"
-        )
-    return (
+    return _large_friction(stairs, off_line) or (
         "torque is not linear in current; look for an end stop or a saturated gauge, or raise "
         "current_max"
+    )
+
+
+def _large_friction(stairs: Stairs, off_line: Array) -> str:
+    """Return that friction is too large to be taken out, and the remedy, or nothing."""
+    span = float(np.ptp(stairs.torque))
+    friction = hysteresis(stairs, off_line)[0] / 2
+    if friction <= LARGE_FRICTION * span:
+        return ""
+    return (
+        f"friction of the shaft shows {friction * 1e3:.3g} mN m in a staircase of "
+        f"{span * 1e3:.3g} mN m, too much to be taken out; raise current_max"
     )

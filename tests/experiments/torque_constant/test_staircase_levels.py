@@ -195,6 +195,13 @@ def test_a_level_off_the_line_is_refused(part, refused):
             judged(stairs, bend=bend)
 
 
+def test_friction_is_named_where_a_level_is_off_the_line():
+    stairs = staircases(friction=0.026)
+    bend = np.where(np.isclose(stairs.setpoint, 3.0), -2e-2 * np.ptp(stairs.torque), 0.0)
+    with pytest.raises(InsufficientDataError, match=r"off the line .* friction of the shaft"):
+        judged(stairs, bend=bend)
+
+
 def test_a_level_that_scatters_is_not_off():
     stairs = staircases()
     scatter = np.random.default_rng(6).choice([-1.0, 1.0], stairs.torque.shape)
