@@ -274,7 +274,7 @@ class MeanStaircases:
         found = np.linalg.solve(r, np.swapaxes(q, 2, 3) @ self._torque[..., :1])[..., -3:-1, 0]
         level = found[..., 0] @ self._share
         along = a * found[..., :1] + b * found[..., 1:]
-        state = np.clip(-along / np.maximum(level, 1e-300)[:, None, None], -1.0, 1.0)
+        state = np.clip(-along / np.maximum(level, 1e-12 * self._span)[:, None, None], -1.0, 1.0)
         return np.clip(level, 0.0, LARGEST_FRICTION * self._span), state
 
     def residual(self, common: Common) -> Array:
