@@ -7,33 +7,32 @@ revolution. Friction and load are its mean, which is subtracted.
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import zip_longest
 
 import numpy as np
 
-from rigtool.control.position_loop import position_loop
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.between_set_points import unsampled_note
 from rigtool.experiments.controller_torque import (
     encoder_shaking,
-    naming,
     require_stable_loop,
-    require_unlimited,
 )
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
-from rigtool.experiments.ripple.encoder_steps import step_orders
 from rigtool.experiments.ripple.imported import analyse_imported
 from rigtool.experiments.ripple.orders import (
     HIGHEST_ORDER,
     Ripple,
-    Sampling,
-    cells_for,
     compare,
     remove_offset,
+)
+from rigtool.experiments.ripple.procedure_steady import (
+    Collected,
+    collected,
+    first_and_last,
+    steady_samples,
 )
 from rigtool.experiments.ripple.results import (
     comparison_results,
@@ -45,7 +44,6 @@ from rigtool.experiments.ripple.results import (
     steps_note,
     varying_note,
 )
-from rigtool.experiments.ripple.revolutions import Revolutions
 from rigtool.experiments.ripple.winding_heat import Lowered, TurnCurrents, winding_heat
 from rigtool.experiments.torque_per_ampere import (
     mean_constant,
@@ -60,7 +58,6 @@ from rigtool.recipe import Recipe
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import SpeedProfile
 from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Table
-from rigtool.runfile.schema import CHUNK
 
 ACCELERATION = 30.0
 """During run-up and stop, rad/s2."""
@@ -77,9 +74,6 @@ LARGEST_FALL = 0.5
 SHAKING_LIMIT = 0.5
 """Largest relative standard deviation of the speed, by the steps of the encoder, without a note: on
 two drawn rigs no order was off at 0.4, and first orders were off by 4 to 10 u at 0.8 to 3."""
-
-MIN_STEADY_SAMPLES = 4
-"""Smallest number of samples at constant speed, however few turns they make."""
 
 # -- measuring
 
@@ -159,11 +153,11 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     torques = sorted(run.recordings_named("torque_"), key=lambda r: r.condition("torque"))
     cycles = run.recordings_named("power_cycle_")
     recorded = [*speeds, *torques, *cycles]
-    steady = [_steady(recording) for recording in recorded]
+    steady = [steady_samples(recording) for recording in recorded]
     segment = _segment(steady[: len(speeds)])
     welches = [Welch(segment) for _ in speeds]
     found = [
-        _collected(recording, samples, recipe, welch)
+        collected(recording, samples, recipe, welch)
         for recording, samples, welch in zip_longest(recorded, steady, welches)
     ]
     constants, per_amperes, heat_note = _constants(kt, recorded, found)
@@ -235,56 +229,8 @@ def _resolution_notes(
     ]
 
 
-@dataclass(frozen=True, eq=False)
-class _Collected:
-    """Steady revolutions of a recording: `waveforms` (revolutions, positions), A."""
-
-    waveforms: Array
-    elapsed: Array
-    steps: Array
-    forward: bool
-    sampling: Sampling
-    passed: Array
-    current: Array
-
-
-def _collected(
-    recording: Recording, steady: range, recipe: Recipe, welch: Welch | None
-) -> _Collected:
-    """Return a recording's steady revolutions; add their current to `welch`."""
-    largest, total = 0.0, 0.0
-    with naming(recording):
-        first, last = _ends(recording, "encoder", steady)
-        revolutions = Revolutions(cells_for(recipe.rig.encoder_counts), forward=last > first)
-        for time, encoder, current in recording.blocks(
-            "time", "encoder", "current_setpoint", start=steady.start, stop=steady.stop
-        ):
-            largest = max(largest, float(np.abs(current).max()))
-            total += float(current.sum())
-            encoder /= recipe.rig.encoder_counts
-            revolutions.add(time, encoder, current)
-            if welch is not None:
-                welch.add(current)
-        held = "torque" in recording.conditions
-        remedy = "lower fft_ripple.torques" if held else "turn more slowly"
-        require_unlimited(largest, recipe, remedy, abs(total) / len(steady))
-        settings = recipe.fft_ripple
-        sampling = Sampling(revolutions.step, settings.record_every)
-        waveforms = revolutions.waveforms(settings.revolutions)
-        elapsed = revolutions.elapsed(settings.revolutions)
-        steps = step_orders(
-            revolutions.passed(settings.revolutions),
-            settings.revolutions,
-            recipe.rig.encoder_counts,
-            position_loop(**recipe.rig.loop_design),
-            settings.record_every,
-            HIGHEST_ORDER,
-        )
-    return _Collected(waveforms, elapsed, steps, last > first, sampling, *revolutions.turns())
-
-
 def _constants(
-    kt: Run, recorded: Sequence[Recording], found: Sequence[_Collected]
+    kt: Run, recorded: Sequence[Recording], found: Sequence[Collected]
 ) -> tuple[list[Quantity], list[Array], str]:
     """Return the torque per ampere of each recording, by turn and cell, and a note on it.
 
@@ -300,7 +246,7 @@ def _constants(
     heat = winding_heat(
         [
             TurnCurrents(
-                _ends(recording, "time", range(recording.size)),
+                first_and_last(recording, "time", range(recording.size)),
                 own.passed,
                 own.current,
                 "torque" in recording.conditions,
@@ -345,38 +291,6 @@ def _heat_note(recorded: Sequence[Recording], heat: Sequence[Lowered]) -> str:
     )
 
 
-def _steady(recording: Recording) -> range:
-    """Return the samples at constant speed."""
-    begin = float(recording.read("time", 0, 1)[0])
-    starts = range(0, recording.size, CHUNK)
-
-    def since_start(sample: int) -> float:
-        return float(recording.read("time", sample, sample + 1)[0]) - begin
-
-    def first_from(seconds: float) -> int:
-        """Return the first sample so long after the start, or the number of samples."""
-        # Each look at a sample unpacks its chunk: one for each chunk, not for each sample.
-        chunk = bisect_left(starts, seconds, key=since_start)
-        start = starts[max(chunk - 1, 0)]
-        after = recording.read("time", start, start + CHUNK) - begin
-        return start + int(np.searchsorted(after, seconds))
-
-    first = first_from(recording.condition("steady_from"))
-    last = first_from(recording.condition("steady_until"))
-    if last - first < MIN_STEADY_SAMPLES:
-        raise InsufficientDataError(
-            f"recording {recording.name}: {last - first} samples at constant speed are too few, "
-            f"{MIN_STEADY_SAMPLES} are needed: record for longer"
-        )
-    return range(first, last)
-
-
-def _ends(recording: Recording, channel: str, samples: range) -> tuple[float, float]:
-    """Return the first and the last of these samples."""
-    first, last = (recording.read(channel, i, i + 1)[0] for i in (samples[0], samples[-1]))
-    return float(first), float(last)
-
-
 def _segment(steady: Sequence[range]) -> int:
     """Return one length of Welch's segments for all speeds, for one frequency axis."""
     return min(MAX_SEGMENT, 2 ** int(math.log2(min(map(len, steady)) / 2)))
@@ -392,7 +306,7 @@ def _psd_table(
     """Return the PSD of the steady torque by speed, all on one frequency axis."""
     spectra, psd = [], []
     for recording, samples, welch in zip(recordings, steady, welches, strict=True):
-        first, last = _ends(recording, "time", samples)
+        first, last = first_and_last(recording, "time", samples)
         spectra.append(welch.spectrum((last - first) / (len(samples) - 1)))
         psd.append(spectra[-1].psd * constants[recording.name].value ** 2)
     return Table(

@@ -10,6 +10,7 @@ from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.ripple import procedure as fft_ripple
 from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
 from rigtool.experiments.ripple.procedure import _shaking_note
+from rigtool.experiments.ripple.procedure_steady import collected, steady_samples
 from rigtool.experiments.ripple.results import steps_note
 from rigtool.experiments.ripple.shared_scatter import shared_floor
 from rigtool.recipe import load_recipe, override_recipe
@@ -215,7 +216,7 @@ def test_a_saturated_current_is_named_with_its_cause(measured, monkeypatch, name
     """A current that once reaches so many times its mean, which is that of turning."""
     with open_run(measured[0]) as stored:
         recording = stored.recording(name)
-        steady = fft_ripple._steady(recording)
+        steady = steady_samples(recording)
         mean = recording.read("current_setpoint", steady.start, steady.stop).mean()
         recipe = override_recipe(stored.recipe, [f"rig.current_limit={times * mean}"])
         whole = type(recording).blocks
@@ -227,7 +228,7 @@ def test_a_saturated_current_is_named_with_its_cause(measured, monkeypatch, name
 
         monkeypatch.setattr(type(recording), "blocks", blocks)
         with pytest.raises(InsufficientDataError, match=rf"{name}: .*{cause}"):
-            fft_ripple._collected(recording, steady, recipe, None)
+            collected(recording, steady, recipe, None)
 
 
 def test_heat_that_no_motor_survives_is_refused(measured, kt, monkeypatch):

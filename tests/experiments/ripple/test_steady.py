@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.ripple.procedure import _steady
+from rigtool.experiments.ripple.procedure_steady import steady_samples
 from rigtool.runfile.schema import CHUNK
 
 
@@ -50,13 +50,13 @@ def test_it_is_what_a_search_through_all_samples_finds(size, begin, places, on_s
     stored = Stored(time, low, high)
     if last - first < 4:
         with pytest.raises(InsufficientDataError, match="too few"):
-            _steady(stored)
+            steady_samples(stored)
     else:
-        assert _steady(stored) == range(first, last)
+        assert steady_samples(stored) == range(first, last)
 
 
 def test_an_hour_takes_two_looks_at_each_halving_of_its_chunks():
     size = 3516 * CHUNK
     stored = Stored(np.arange(size) / 8000, 0.5, size / 8000 - 1)
-    assert len(_steady(stored)) == size - 4000 - 8000
+    assert len(steady_samples(stored)) == size - 4000 - 8000
     assert stored.unpacked <= 1 + 2 * (math.ceil(math.log2(3516)) + 1)

@@ -1,0 +1,111 @@
+"""Steady revolutions of a recording of `fft-ripple` [7.1.3]."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from dataclasses import dataclass
+
+import numpy as np
+
+from rigtool.control.position_loop import position_loop
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.controller_torque import naming, require_unlimited
+from rigtool.experiments.ripple.encoder_steps import step_orders
+from rigtool.experiments.ripple.orders import HIGHEST_ORDER, Sampling, cells_for
+from rigtool.experiments.ripple.revolutions import Revolutions
+from rigtool.numerics.arrays import Array
+from rigtool.numerics.welch import Welch
+from rigtool.recipe import Recipe
+from rigtool.runfile import Recording
+from rigtool.runfile.schema import CHUNK
+
+MIN_STEADY_SAMPLES = 4
+"""Smallest number of samples at constant speed, however few turns they make."""
+
+
+def steady_samples(recording: Recording) -> range:
+    """Return the samples at constant speed.
+
+    Raises `InsufficientDataError` where there are fewer than `MIN_STEADY_SAMPLES`.
+    """
+    begin = float(recording.read("time", 0, 1)[0])
+    starts = range(0, recording.size, CHUNK)
+
+    def since_start(sample: int) -> float:
+        return float(recording.read("time", sample, sample + 1)[0]) - begin
+
+    def first_from(seconds: float) -> int:
+        """Return the first sample so long after the start, or the number of samples."""
+        # Each look at a sample unpacks its chunk: one for each chunk, not for each sample.
+        chunk = bisect_left(starts, seconds, key=since_start)
+        start = starts[max(chunk - 1, 0)]
+        after = recording.read("time", start, start + CHUNK) - begin
+        return start + int(np.searchsorted(after, seconds))
+
+    first = first_from(recording.condition("steady_from"))
+    last = first_from(recording.condition("steady_until"))
+    if last - first < MIN_STEADY_SAMPLES:
+        raise InsufficientDataError(
+            f"recording {recording.name}: {last - first} samples at constant speed are too few, "
+            f"{MIN_STEADY_SAMPLES} are needed: record for longer"
+        )
+    return range(first, last)
+
+
+def first_and_last(recording: Recording, channel: str, samples: range) -> tuple[float, float]:
+    """Return the first and the last of these samples."""
+    first, last = (recording.read(channel, i, i + 1)[0] for i in (samples[0], samples[-1]))
+    return float(first), float(last)
+
+
+@dataclass(frozen=True, eq=False)
+class Collected:
+    """Steady revolutions of a recording, as `Revolutions` has them: `waveforms` (revolutions,
+    positions) A, with their `sampling`; `elapsed` (positions + 1,); `steps` (m,) rad, those of
+    `step_orders`; when the rotor `passed` turns, s, and the mean `current` of each, A."""
+
+    waveforms: Array
+    elapsed: Array
+    steps: Array
+    forward: bool
+    sampling: Sampling
+    passed: Array
+    current: Array
+
+
+def collected(
+    recording: Recording, steady: range, recipe: Recipe, welch: Welch | None
+) -> Collected:
+    """Return a recording's steady revolutions; add their current to `welch`.
+
+    Raises `InsufficientDataError` where the current is at its limit, or whole turns are missing.
+    """
+    largest, total = 0.0, 0.0
+    with naming(recording):
+        first, last = first_and_last(recording, "encoder", steady)
+        revolutions = Revolutions(cells_for(recipe.rig.encoder_counts), forward=last > first)
+        for time, encoder, current in recording.blocks(
+            "time", "encoder", "current_setpoint", start=steady.start, stop=steady.stop
+        ):
+            largest = max(largest, float(np.abs(current).max()))
+            total += float(current.sum())
+            encoder /= recipe.rig.encoder_counts
+            revolutions.add(time, encoder, current)
+            if welch is not None:
+                welch.add(current)
+        held = "torque" in recording.conditions
+        remedy = "lower fft_ripple.torques" if held else "turn more slowly"
+        require_unlimited(largest, recipe, remedy, abs(total) / len(steady))
+        settings = recipe.fft_ripple
+        sampling = Sampling(revolutions.step, settings.record_every)
+        waveforms = revolutions.waveforms(settings.revolutions)
+        elapsed = revolutions.elapsed(settings.revolutions)
+        steps = step_orders(
+            revolutions.passed(settings.revolutions),
+            settings.revolutions,
+            recipe.rig.encoder_counts,
+            position_loop(**recipe.rig.loop_design),
+            settings.record_every,
+            HIGHEST_ORDER,
+        )
+    return Collected(waveforms, elapsed, steps, last > first, sampling, *revolutions.turns())
