@@ -137,12 +137,12 @@ def require_straight(
     worst = int(np.argmax(np.abs(mean)))
     if abs(mean[worst]) > max(limit, 4 * u[worst]):
         friction = _large_friction(stairs, off_line)
+        first = f"{friction}; or " if friction else ""
         raise InsufficientDataError(
             f"torque at {current[worst]:.3g} A is {mean[worst] * 1e3:.3g} mN m off the line "
             f"through all currents, limit {limit * 1e3:.3g} mN m: "
-            f"{friction and friction + '; or '}gauge, amplifier or motor is not linear there, or "
-            "the arm still swings; lower current_max, look for an end stop, or raise "
-            "calibrate_kt.step_time and settle_time"
+            f"{first}gauge, amplifier or motor is not linear there, or the arm still swings; lower "
+            "current_max, look for an end stop, or raise calibrate_kt.step_time and settle_time"
         )
 
 

@@ -46,7 +46,7 @@ from rigtool.quantity import (
 PATH_U, TREND_U = 0.3, 0.2
 """What no law of one exponent shows, since friction changes the path that it follows: standard
 uncertainty of a slope, times the squared part that friction takes of it, and of the change of that
-part with temperature, relative: that is up to 0.35 (a rectangular distribution, GUM 4.3.7)."""
+part with temperature, relative: on 36 drawn rigs that is 0.21 (rms), 0.45 at most."""
 
 LINEARITY_LIMIT = 5e-3
 """Largest deviation of the amplifier from a straight line, relative to the span."""

@@ -98,6 +98,18 @@ def test_the_zero_of_the_learning_is_left_alone(seed, waves):
     assert zero_of(passes(np.random.default_rng(seed), 0, waves=waves)) is None
 
 
+def other_instrument(seed, other):
+    """Return passes of another instrument, whose friction is found at the learned zero."""
+    own = passes(
+        np.random.default_rng(seed), 0, cycles=4, by_friction=functools.partial(friction, **other)
+    )
+    found = zero_of(own)
+    assert found.moved == 0
+    left = FACTOR * (friction(ANGLE, **other) - friction(ANGLE))
+    assert found.spread == pytest.approx(np.sqrt(np.mean(left**2)), rel=0.15)
+    return own, found
+
+
 @pytest.mark.parametrize(
     "other",
     [
@@ -106,13 +118,7 @@ def test_the_zero_of_the_learning_is_left_alone(seed, waves):
     ],
 )
 def test_friction_of_another_instrument_is_found_where_no_zero_explains_it(monkeypatch, other):
-    own = passes(
-        np.random.default_rng(4), 0, cycles=4, by_friction=functools.partial(friction, **other)
-    )
-    found = zero_of(own)
-    assert found.moved == 0
-    left = FACTOR * (friction(ANGLE, **other) - friction(ANGLE))
-    assert found.spread == pytest.approx(np.sqrt(np.mean(left**2)), rel=0.15)
+    own, found = other_instrument(4, other)
     with monkeypatch.context() as patch:
         patch.setattr(_Search, "shows", lambda self, untouched: False)
         assert zero_of(own) is None
@@ -147,13 +153,7 @@ def test_ripple_lags_at_the_speed_of_a_pass(counts):
 def test_friction_of_another_instrument_is_no_other_zero(monkeypatch, other):
     """Waves of other phases at the learned zero look like the learned ones at other angles, by
     which alone a zero would be found."""
-    own = passes(
-        np.random.default_rng(7), 0, cycles=4, by_friction=functools.partial(friction, **other)
-    )
-    found = zero_of(own)
-    assert found.moved == 0
-    left = FACTOR * (friction(ANGLE, **other) - friction(ANGLE))
-    assert found.spread == pytest.approx(np.sqrt(np.mean(left**2)), rel=0.15)
+    own, _ = other_instrument(7, other)
     monkeypatch.setattr(_Search, "other_friction", lambda self, untouched: (-math.inf, 0.0))
     assert zero_of(own).moved != 0
 
