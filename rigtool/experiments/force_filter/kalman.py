@@ -12,7 +12,11 @@
                  all, the filter would assign a load step to the bristles. Leaky sums of the
                  corrections d over SHORT and LONG show a step and a slow change: where one exceeds
                  its threshold, its level holds for `busy_time`. A count that passes while the motor
-                 has no current is a slow change, too: the torque moves the rotor then.
+                 has no current is a slow change, too: the torque moves the rotor then. A force that
+                 swings goes on to change where the sums do not show it. If each `busy_time` of
+                 change is followed by another one with a probability p, changes last for
+                 busy_time / (1 - p) in the mean: so long the level of a slow change holds, with p
+                 the part of the time, of memory BUSY_MEMORY, in which the noise was raised.
     reversal     where the housing's bristle crosses -1/2 in the direction of motion, a new stroke
                  begins: its deviations return to their prior.
 
@@ -59,6 +63,9 @@ from rigtool.numerics.compiled import compiled, compiled_allocating
 SHORT, LONG = 6e-3, 0.1
 """Memories of the leaky sums of corrections, s."""
 
+BUSY_MEMORY, MOST_BUSY = 0.5, 0.9
+"""Memory of the part of the time in which the noise is raised, s, and the largest part."""
+
 STEP_THRESHOLD, SLOW_THRESHOLD = 4e-3, 10e-3
 """Sums (standard deviations times s) from which on a step, or a slow change, is under way."""
 
@@ -87,6 +94,7 @@ STATE = np.dtype(
         ("step_left", "f8"),
         ("slow_sum", "f8"),
         ("slow_left", "f8"),
+        ("busy", "f8"),  # part of the time in which the level is raised
         ("low", "f8"),  # of the count that the angle is in
         # steps since the angle was beyond this count and the next one, and the last one
         ("rested_up", "f8"),
@@ -312,14 +320,14 @@ def _update(
     low: float,
     width: float,
     span: float,
-    memory: tuple[float, float],
+    memory: tuple[float, float, float],
     idle: bool,
     gain: Array,
 ) -> tuple[float, float, float]:
     """Take in that the angle lies in a count; return correction, weight and prior variance.
 
     `idle` states that the motor has had no current. `gain` (ROW_LENGTH,) receives the gain of
-    states and q; of the sums of corrections `memory` remains.
+    states and q; of the sums of corrections, and of the busy part, `memory` remains.
     """
     x = s.mean
     variance = rows[_at(ANGLE, ANGLE)] + (u.edge * width) ** 2
@@ -336,10 +344,13 @@ def _update(
         x[i] = min(max(x[i], -1.0), 1.0)
     s.step_sum = memory[0] * s.step_sum + mean * span
     s.slow_sum = memory[1] * s.slow_sum + mean * span
+    s.busy = memory[2] * s.busy + (1.0 - memory[2]) * (1.0 if _level(s) > 0.0 else 0.0)
     if abs(s.step_sum) > STEP_THRESHOLD:
         s.step_left = u.busy_time
-    if abs(s.slow_sum) > SLOW_THRESHOLD or (low != s.low and idle):
-        s.slow_left = u.busy_time
+    if abs(s.slow_sum) > SLOW_THRESHOLD:
+        s.slow_left = max(s.slow_left, u.busy_time / (1.0 - min(s.busy, MOST_BUSY)))
+    if low != s.low and idle:
+        s.slow_left = max(s.slow_left, u.busy_time)
     s.low, s.angle = low, x[ANGLE]
     s.variance = rows[_at(ANGLE, ANGLE)] + (u.edge * width) ** 2
     return shift / variance, weight, variance
@@ -380,7 +391,7 @@ def run(
         np.empty((samples, FACTOR_COUNT)),
     )
     span = samples * p.sample_time
-    memory = math.exp(-span / SHORT), math.exp(-span / LONG)
+    memory = math.exp(-span / SHORT), math.exp(-span / LONG), math.exp(-span / BUSY_MEMORY)
     kept = math.exp(-span / u.friction_noise_time)
     for i in range(passed.JOINT_STATES):
         for j in range(ROW_LENGTH):

@@ -21,14 +21,16 @@ Stat. 3(1) 119-131, 1975, shape 0), whose mean m is known from the n values that
 
 A contact begins where M passed half of its highest value in the WINDOW after the contact was found,
 and where it was found at the latest. It ends where M falls below half of its mean so far: such a
-value is as near to no contact as to that mean.
+value is as near to no contact as to that mean. A force that swings through zero is found in each
+half wave. Contacts are one event where the torque's interval between them holds zero for less than
+`LET_GO_TIME` at a time.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -36,7 +38,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rigtool.experiments.force_filter.highest import highest
 from rigtool.experiments.force_filter.motion_states import CREEPING_KIND, State, States
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.compiled import compiled_allocating
 from rigtool.numerics.recursion import Biquad, filtered
 
@@ -54,6 +56,9 @@ REVERSAL_TIME = 3 * JUMP_WINDOW
 LEVEL_MEMORY = 1.0
 """Memory of the level's errors, and the longest time from the begin of a contact to its finding,
 s."""
+
+LET_GO_TIME = 0.2
+"""Time without a torque, s, after which another contact begins: fingers tap five times a second."""
 
 FALSE_ALARMS = ((1 / 72000, 1 / 7200), (1 / 7200, 1 / 7200), (1 / 7200, 1 / 7200))
 """Rates of false alarms by jump and by level, Hz, in motion of each `MotionKind`: one in two hours.
@@ -95,6 +100,10 @@ class Contact:
     begin: int
     found: int
     end: int
+
+    def rows(self, every: int) -> slice:
+        """Return the rows of a table, of `every` steps each, in which it lasts."""
+        return slice(self.begin // every, self.end // every + 1)
 
 
 def trial(
@@ -210,3 +219,33 @@ def _contacts(
     if found >= 0:
         rows.append((begin, found, len(torque) - 1))
     return rows
+
+
+def events(
+    found: Sequence[Contact], torque: Array, half: Array, every: int, row_time: float
+) -> list[Contact]:
+    """Return the contacts that a torque (m,) N m shows, which is known to `half` (m,) N m either
+    way: as one where nothing lets go between them.
+
+    A row of the torque is `every` steps or `row_time` s. The fall of a contact may be found as
+    another one, which begins with its end: within `JUMP_WINDOW` it shows none.
+    """
+    nothing, joined, stop = np.abs(torque) <= half, list[Contact](), 0
+    for contact in found:
+        own = contact.rows(every)
+        falls = bool(joined) and contact.begin <= joined[-1].end
+        first = own.start + (round(JUMP_WINDOW / row_time) if falls else 0)
+        if nothing[first : own.stop].all():
+            continue
+        if joined and _longest(nothing[stop : own.start]) * row_time < LET_GO_TIME:
+            joined[-1] = replace(joined[-1], end=contact.end)
+        else:
+            joined.append(contact)
+        stop = own.stop
+    return joined
+
+
+def _longest(where: Mask) -> int:
+    """Return the length of the longest run in (m,)."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], where.astype(np.int8), [0]])))
+    return int(np.max(ends[1::2] - ends[::2], initial=0))

@@ -137,9 +137,9 @@ def _of_loads(
     if lasting := max((lasting_torque(form, hand) for form in forms), key=abs):
         moved = -lasting / torque_per_current(model, kt)
         notes.append(
-            f"a torque of {lasting * 1e3:.3g} mN m acts all the time, at every angle and in both "
-            "directions: a load that lasts, ripple of another power-up, or the current's zero has "
-            f"moved by {moved * 1e3:.3g} mA since {kt.path}, which u does not "
+            f"a torque of {lasting * 1e3:.3g} mN m acts most of the time, if not always, at every "
+            "angle and in both directions: a load that lasts, ripple of another power-up, or the "
+            f"current's zero has moved by {moved * 1e3:.3g} mA since {kt.path}, which u does not "
             "include: calibrate again if nothing touches"
         )
     if hand is not None and (part := driven_part(forms[0], hand)):

@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR, JUDGED_STATES
 from rigtool.experiments.force_filter.motion_states import CREEPING_KIND, STATE_NAMES, Reach, State
-from rigtool.experiments.force_model.contacts import FALSE_ALARMS, JUMP_WINDOW, MotionKind
+from rigtool.experiments.force_model.contacts import (
+    FALSE_ALARMS,
+    JUMP_WINDOW,
+    MotionKind,
+    events,
+)
 from rigtool.experiments.force_sensor.results_over_time import (
     TorqueRows,
     over_time_tables,
@@ -55,8 +60,8 @@ def force_outcome(
         lost=sum(r.lost for r in recordings),
     )
     if np.isfinite(limits).any():
-        tables |= (events := _events(parts))
-        count = events["events"].shape[0] if events else 0
+        tables |= (found := _events(parts))
+        count = found["events"].shape[0] if found else 0
         results["contacts"] = Quantity(float(count), "1", reason="counted")
     known = tables["force"]["state"] != State.OUTSIDE
     notes = [*_notes(recordings, known, reach, scales), *_contact_notes(limits)]
@@ -71,17 +76,20 @@ def _events(parts: Sequence[tuple[int, TorqueRows]]) -> dict[str, Table]:
     """
     found: list[tuple[float, ...]] = []
     for number, row in parts:
-        known, step_time = row.states != State.OUTSIDE, row.step_time / row.every
-        for contact in row.contacts:
-            span = slice(contact.begin // row.every, contact.end // row.every + 1)
+        step_time = row.step_time / row.every
+        known = row.states != State.OUTSIDE
+        half = np.where(known, COVERAGE_FACTOR * row.u, np.inf)
+        for event in events(row.contacts, row.torque, half, row.every, row.step_time):
+            span = event.rows(row.every)
             torque, u = row.torque[span][known[span]], row.u[span][known[span]]
-            if not len(torque):
-                continue
-            peak = peak_row(torque, u)
-            if abs(torque[peak]) <= COVERAGE_FACTOR * u[peak]:
-                continue
-            times = row.time[0] + step_time * np.array([contact.begin, contact.found, contact.end])
-            found.append((number, *times, torque[peak], u[peak], torque.mean(), u.mean()))
+            peak, rms = peak_row(torque, u), float(np.sqrt(np.mean(torque**2)))
+            clear = torque[np.abs(torque) > COVERAGE_FACTOR * u]
+            waves = 1 + int(np.count_nonzero(np.diff(np.sign(clear))))
+            times = row.time[0] + step_time * np.array([event.begin, event.found, event.end])
+            means = torque.mean(), u.mean(), rms, np.mean(np.abs(torque) * u) / rms
+            # the largest of n half waves is off by sqrt(2 ln n) u in the mean, if they are alike
+            peak_u = u[peak] * math.sqrt(1 + 2 * math.log(waves))
+            found.append((number, *times, torque[peak], peak_u, *means, waves))
     if not found:
         return {}
     numbers = np.array(found).T
@@ -100,6 +108,11 @@ def _events(parts: Sequence[tuple[int, TorqueRows]]) -> dict[str, Table]:
         "peak_u": Column(numbers[5], "N m", "standard uncertainty of peak"),
         "mean": Column(numbers[6], "N m", "mean torque from start to end"),
         "mean_u": Column(numbers[7], "N m", "standard uncertainty of mean"),
+        "rms": Column(numbers[8], "N m", "root mean square of the torque from start to end"),
+        "rms_u": Column(numbers[9], "N m", "standard uncertainty of rms"),
+        "half_waves": Column(
+            numbers[10].astype(np.int32), "1", "two in a period of a force that swings, else 1"
+        ),
     }
     return {"events": Table(("event",), columns, "mean", "contacts found in the torque over time")}
 

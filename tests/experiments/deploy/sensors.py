@@ -113,7 +113,8 @@ def _followed(wanted, contact, noise, kept, record, friction_map):
 
 
 def motions():
-    """Return samples by the name of the motion: strokes and free motion with contacts, and rest."""
+    """Return samples by the name of the motion: strokes and free motion with contacts, rest, and
+    strokes with a force that swings."""
     time = np.arange(round(4.0 / INTERVAL)) * INTERVAL
     pulse = 0.04 * np.clip(np.minimum((time % 2 - 0.7) / 0.05, (1.3 - time % 2) / 0.05), 0, 1)
     sines = np.sin(3.1 * time) + 0.6 * np.sin(7.3 * time + 1) + 0.2 * np.sin(23.0 * time)
@@ -124,7 +125,10 @@ def motions():
         "rest": np.full(len(time), 0.3),
         "creeping": 0.03 * time + 1.5e-3 * np.sin(2 * math.pi * 60 * time),
     }
-    return {name: moved(angle, pulse) for name, angle in wanted.items()}
+    swinging = 0.02 * np.sin(2 * math.pi * 2 * time)
+    return {name: moved(angle, pulse) for name, angle in wanted.items()} | {
+        "swinging": moved(wanted["strokes"], swinging)
+    }
 
 
 def compiled(folder, text, *flags, name="sensor"):

@@ -54,7 +54,7 @@ def read(library, samples):
 
 
 @pytest.mark.compiles
-@pytest.mark.parametrize("motion", ["strokes", "free", "rest", "creeping"])
+@pytest.mark.parametrize("motion", ["strokes", "free", "rest", "creeping", "swinging"])
 def test_readings_are_those_of_python(libraries, samples, motion):
     wanted = expected(instrument(), samples[motion])
     found = read(libraries["double"], samples[motion])
@@ -107,7 +107,7 @@ def test_a_motor_without_current_is_carried_and_held(libraries, samples):
     assert (crawled[:, 1] > 0.999 * friction / 2 / np.sqrt(3)).all()
 
 
-@pytest.mark.parametrize("motion", ["strokes", "free", "rest", "creeping"])
+@pytest.mark.parametrize("motion", ["strokes", "free", "rest", "creeping", "swinging"])
 def test_floats_are_off_by_less_than_a_twentieth_of_u(libraries, samples, motion):
     wanted = read(libraries["double"], samples[motion])
     found = read(libraries["float"], samples[motion])

@@ -294,6 +294,19 @@ def run(state, lows, width, steps):
     return means
 
 
+@pytest.mark.parametrize("busy", [0.0, 0.6, 1.0])
+@pytest.mark.parametrize("left", [0.0, 0.2])
+def test_a_torque_that_has_changed_for_long_is_expected_to_change_for_long(busy, left):
+    """A change goes on by the part of the time, of 0.5 s, in which there was one."""
+    state = kalman.begin(PLANT, U, -5e5, 1e6, LOW_PASS)
+    state["busy"], state["slow_left"], state["slow_sum"] = busy, left, 1.0
+    run(state, [-5e5], 1e6, None)
+    part = 1 + (busy - 1) * np.exp(-SPAN / 0.5) if left else busy * np.exp(-SPAN / 0.5)
+    assert state["busy"][0] == pytest.approx(part, rel=1e-9)
+    lasting = U.busy_time / (1 - min(part, 0.9))
+    assert state["slow_left"][0] == pytest.approx(max(left - SPAN, lasting), rel=1e-9)
+
+
 def test_each_step_keeps_what_the_smoother_needs():
     """Of two steps, a stroke begins with the first; each beside the filter before and after it."""
     mean, covariance = started(3)

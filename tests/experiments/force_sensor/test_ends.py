@@ -47,9 +47,9 @@ def test_the_peak_is_not_that_of_a_row_that_knows_little():
 
 def test_a_contact_that_the_whole_recording_does_not_show_is_not_listed():
     """Contacts are found by samples so far: behind a strong one, by its own end."""
-    torque = np.repeat([0.0, 30e-3, -0.7e-3, 2e-3], 5)
-    time, states = 5e-3 * np.arange(20), np.full(20, State.AGAINST, dtype=np.int32)
-    found = (Contact(5, 6, 9), Contact(10, 11, 14), Contact(15, 16, 19))
-    row = TorqueRows("made", 5e-3, time, torque, np.full(20, 0.4e-3), states, contacts=found)
+    torque = np.repeat([0.0, 30e-3, -0.7e-3, 2e-3], 50)
+    time, states = 5e-3 * np.arange(200), np.full(200, State.AGAINST, dtype=np.int32)
+    found = (Contact(50, 51, 99), Contact(100, 101, 149), Contact(150, 151, 199))
+    row = TorqueRows("made", 5e-3, time, torque, np.full(200, 0.4e-3), states, contacts=found)
     peaks = _events([(0, row)])["events"].columns["peak"].values
     np.testing.assert_allclose(peaks, [30e-3, 2e-3])

@@ -1,6 +1,7 @@
 """Tables of torque over time: contacts in time and size, errors against a reference."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -52,6 +53,21 @@ def test_contacts_are_in_the_time_of_the_bench_with_their_torque():
     np.testing.assert_allclose(table["start_u"], JUMP_WINDOW / math.sqrt(12), rtol=1e-12)
     hidden = rows("c", 0.0, contacts[:1], outside=slice(90, 160))
     assert _events([(0, hidden)]) == {}
+
+
+def test_an_event_of_a_force_that_swings_has_its_size_and_its_half_waves():
+    own = rows("a", 0.0, (Contact(500, 510, 749), Contact(760, 770, 1250)))
+    swing = 5e-3 * np.sin(2 * np.pi * np.arange(ROWS) / 50)
+    own = replace(own, torque=swing, u=np.full(ROWS, 0.2e-3))
+    table = _events([(0, own)])["events"]
+    assert table["half_waves"].tolist() == [6]
+    inside = own.torque[100:251]
+    rms = np.sqrt(np.mean(inside**2))
+    assert table["rms"][0] == pytest.approx(rms, rel=1e-9)
+    # all errors alike, by the sign of the torque at the worst
+    assert table["rms_u"][0] == pytest.approx(np.mean(np.abs(inside)) * 0.2e-3 / rms, rel=1e-9)
+    # the largest of six half waves is one whose error has its sign
+    assert table["peak_u"][0] == pytest.approx(0.2e-3 * np.sqrt(1 + 2 * np.log(6)), rel=1e-9)
 
 
 def test_errors_are_those_against_the_reference_by_state():
