@@ -47,6 +47,7 @@ def ripple_over_turn(found: AngleEffects, value: float, slopes: Slopes, *, known
     angle = math.hypot(slopes.deflection, slopes.deflection_u)
     turned = float(np.sum(square * (order * angle) ** 2) / max(np.sum(square), 1e-300))
     path = math.hypot(deviation, begin) * RIPPLE_PATH_U * slopes.friction_share
+    path = math.hypot(path, deviation * slopes.ripple_u)
     smear = deviation * SMEARED * turned
     more = math.hypot(deviation, left) - deviation  # of phases that have nothing in common
     rounding = np.std(found.effect + slopes.rounding, axis=1) - np.std(found.effect)

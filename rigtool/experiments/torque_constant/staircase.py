@@ -261,10 +261,11 @@ def amplifier_linearity(plateaus: Plateaus) -> Linearity:
     inverse = np.linalg.pinv(design)
     gain, offset = inverse @ current
     deviations = current - design @ np.array([gain, offset])
-    # Deviations from the line count as scatter too.
-    lack = float(np.sum(deviations**2)) / (len(count) - 2), len(count) - 2
-    square, square_dof = max(lack, (scatter / dof / count.mean(), dof))
-    u = math.sqrt(square) * np.sqrt(np.sum(inverse**2, axis=1))
+    # The gain rests on the ends, which have fewer plateaus. Deviations count as scatter, too.
+    by_scatter = inverse**2 @ (scatter / dof / count)
+    by_lack = np.sum(inverse**2, axis=1) * float(deviations @ deviations) / (len(count) - 2)
+    lacks = bool(by_lack[0] > by_scatter[0])
+    u = np.sqrt(by_lack if lacks else by_scatter)
     worst = int(np.argmax(np.abs(deviations)))
     level_u = math.sqrt(scatter / dof / count[worst])
     # The largest of n alike is too large by scatter, by up to sqrt(2 ln n) u on average.
@@ -274,7 +275,7 @@ def amplifier_linearity(plateaus: Plateaus) -> Linearity:
         gain_u=float(u[0]),
         offset=float(offset),
         offset_u=float(u[1]),
-        dof=square_dof,
+        dof=len(count) - 2 if lacks else dof,
         deviation=float(abs(deviations[worst])),
         deviation_u=level_u * math.sqrt(1 + 2 * math.log(alike)),
         deviation_dof=dof,

@@ -19,6 +19,7 @@ from rigtool.experiments.torque_constant.staircase_levels import (
     deflection,
     hysteresis,
     lines_through,
+    off_trend,
     straight_slope,
 )
 from rigtool.experiments.torque_constant.staircase_model import (
@@ -63,7 +64,8 @@ class Slopes:
     the relative part by which friction changes a straight line's slope; `resolution_u` that from
     the resolution of the gauge, `rounding` (places, m) in N m/A what it adds to each slope with the
     gauge's zero at some places within its step; `trend_u` in N m/(A K) is what both give a change
-    with temperature. `transition` is s of (1) in N m (None where no friction shows), `exponent`
+    with temperature, `ripple_u` what friction's scatter gives the size of the ripple, relative.
+    `transition` is s of (1) in N m (None where no friction shows), `exponent`
     that of its law, `time_constant` tau in s. `level` (l,) in A,
     `rising` and `falling` (l,) in N m: torque minus the straight line, mean over staircases;
     `hysteresis` in N m: falling minus rising in the middle of the span, `hysteresis_u` its standard
@@ -92,6 +94,7 @@ class Slopes:
     resolution_u: float
     rounding: Array
     trend_u: float
+    ripple_u: float
     transition: float | None
     exponent: float
     time_constant: float
@@ -115,12 +118,13 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     rise = mean_of(stairs.temperature, stairs.weight)
     rise = rise - rise.mean()
     trend = rise / max(float(rise @ rise), 1e-300)
+    ripple = off_trend(stairs, rise)
     average = np.full(len(rise), 1 / len(rise))
     coefficient = _about(stairs)
     hypotheses = weigh_hypotheses(stairs, coefficient, trend)
     stairs, best = hypotheses.means.stairs, hypotheses.weighed.best
     friction = hypotheses.means.friction_of_each(best)
-    solution = _solve(stairs, best.time_constant, friction, coefficient, rise)
+    solution = _solve(stairs, best.time_constant, friction, coefficient, (rise, ripple))
     lasting, lasting_u = loss_by_heat(hypotheses)
     constant = hypotheses.constant
     share = abs(straight_slope(stairs) / constant - 1 + solution.heating)
@@ -133,6 +137,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         moved_u = spread_over_zeros(plateaus, stairs, fitted + errors[::2], coefficient, trend)
     u, dof = _lack_of_fit(stairs, solution, average, resolution_u)
     trend_u = _trend_scatter(stairs, solution, trend, trend_resolution_u)
+    in_ripple = ripple / max(float(ripple @ ripple), 1e-300)
     require_dithered(stairs, solution.fit.residual)
     require_straight(stairs, solution.slope, solution.u, solution.fit.residual, solution.off_line)
     level, rising, falling = branches(stairs, solution.off_line)
@@ -162,6 +167,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         resolution_u=max(resolution_u, moved_u) / constant,
         rounding=rounding,
         trend_u=math.hypot(trend_u, hypotheses.drift, trend_resolution_u),
+        ripple_u=_trend_scatter(stairs, solution, in_ripple, 0.0) / abs(constant),
         transition=best.transition,
         exponent=best.exponent,
         time_constant=best.time_constant,
@@ -208,21 +214,24 @@ def _solve(
     time_constant: float,
     friction: tuple[Array, ...],
     coefficient: float,
-    rise: Array,
+    changes: tuple[Array, Array],
 ) -> _Solution:
     """Solve (1), linear in all that is left, for all staircases.
 
     Each has a slope, a zero and a state of the friction at its beginning of its own; what a
-    step leaves behind and friction, with columns `friction` (m, p), are common to all; friction may
-    change with the temperature, `rise` (m,) in K.
+    step leaves behind and friction, with columns `friction` (m, p), are common to all. Friction may
+    change with both `changes` (m,): the temperature in K, and the ripple, as the swings that
+    contacts make of a larger torque follow from their law, of which the mean staircase shows little
+    where they hardly slide.
     """
     heat, warmth = winding(stairs, time_constant)
     temperature = mean_of(warmth, stairs.weight)
     # The loss of the constant by a kelvin is the same at all temperatures, not its relative loss.
-    size = (1 + coefficient * rise)[:, None]
+    size = (1 + coefficient * changes[0])[:, None]
     current = stairs.current * (1 + coefficient / size * (warmth - temperature[:, None]))
     own = [stairs.weight, *friction[1:]]
-    shared = [stairs.last_step, *friction[:1], *(rise[:, None] * a for a in friction[:1])]
+    changed = [change[:, None] * a for a in friction[:1] for change in changes]
+    shared = [stairs.last_step, *friction[:1], *changed]
     warmed = _LeastSquares(stairs.torque, [current, current * heat / size, *own], shared)
     loss, loss_u, loss_dof = _heat_loss(stairs, warmed)
     current = current * (1 - loss * heat / size)
@@ -359,8 +368,9 @@ def _lack_of_fit(
 
 
 def _trend_scatter(stairs: Stairs, solution: _Solution, trend: Array, rounding_u: float) -> float:
-    """Return the u that scatter gives a change of slopes with temperature, N m/(A K), as friction
-    may change, too: beyond that of single slopes and the gauge's resolution, stated on their own.
+    """Return the u that scatter gives a change of slopes with temperature, N m/(A K), or with the
+    ripple, N m/A, as friction may change, too: beyond that of single slopes and the gauge's
+    resolution, stated on their own.
 
     `trend` (m,) combines the staircases. Residuals are correlated along the staircase.
     """

@@ -23,6 +23,15 @@ def lines_through(stairs: Stairs, values: Array) -> Array:
     return lines
 
 
+def off_trend(stairs: Stairs, rise: Array) -> Array:
+    """Return by how much the straight line through each staircase is steeper than their trend with
+    the temperature, `rise` (m,) in K about the mean: relative, (m,)."""
+    steep = lines_through(stairs, stairs.torque)
+    steep = steep / steep.mean() - 1
+    rest: Array = steep - rise * float(rise @ steep) / max(float(rise @ rise), 1e-300)
+    return rest
+
+
 def deflection(stairs: Stairs) -> tuple[float, float]:
     """Return the angle by which the arm gives way from zero to the largest current, rad, and its u:
     what the rotor's positions lie off a line, and a count of its encoder at both ends. It is zero

@@ -129,28 +129,33 @@ def test_staircases_are_rows_and_shorter_ones_end_without_weight():
 
 @pytest.mark.parametrize("bend", [0.0, 4e-4])
 def test_an_amplifier_is_a_line_through_means_of_levels(bend):
-    """Of scipy, by what lies off the line, or by repeats where these scatter more."""
-    rng, levels, repeats = np.random.default_rng(3), np.linspace(-4, 4, 9), 5
-    setpoint = np.tile(levels, repeats)
-    current = 0.01 + 1.02 * setpoint + bend * np.abs(setpoint) + 2e-4 * rng.standard_normal(45)
+    """Of scipy, by what lies off the line, or by repeats where these scatter more; a staircase has
+    fewer plateaus at its ends than between them."""
+    rng, levels = np.random.default_rng(3), np.linspace(-4, 4, 9)
+    count = np.array([3, 6, 6, 6, 6, 6, 6, 6, 2])
+    setpoint = np.repeat(levels, count)
+    current = 0.01 + 1.02 * setpoint + bend * np.abs(setpoint) + 2e-4 * rng.standard_normal(47)
     found = amplifier_linearity(SimpleNamespace(current_setpoint=setpoint, current=current))
-    each = current.reshape(repeats, 9)
-    line = linregress(levels, each.mean(axis=0))
+    each = np.split(current, np.cumsum(count)[:-1])
+    mean = np.array([one.mean() for one in each])
+    line = linregress(levels, mean)
     assert (found.gain, found.offset) == pytest.approx((line.slope, line.intercept), rel=1e-9)
-    np.testing.assert_allclose(found.current, each.mean(axis=0))
+    np.testing.assert_allclose(found.current, mean)
     np.testing.assert_allclose(found.current_setpoint, levels, atol=1e-12)
-    off = each.mean(axis=0) - line.intercept - line.slope * levels
+    off = mean - line.intercept - line.slope * levels
     np.testing.assert_allclose(found.deviations, off, atol=1e-12)
-    own_u = np.sqrt(each.var(axis=0, ddof=1).mean() / repeats)  # of a level's mean
-    lack = np.sqrt(off @ off / 7)
-    ratio = max(lack, own_u) / lack
-    assert found.dof == (7 if lack > own_u else 36)
-    assert found.gain_u == pytest.approx(ratio * line.stderr, rel=1e-5)
-    assert found.offset_u == pytest.approx(ratio * line.intercept_stderr, rel=1e-5)
+    repeats = sum(np.sum((one - one.mean()) ** 2) for one in each) / 38
+    inverse = np.linalg.pinv(np.column_stack([levels, np.ones(9)]))
+    own = np.sqrt(np.diag(inverse @ np.diag(repeats / count) @ inverse.T))
+    stated = [line.stderr, line.intercept_stderr] if bend else own
+    assert (line.stderr > own[0]) == bool(bend)
+    assert found.dof == (7 if bend else 38)
+    assert (found.gain_u, found.offset_u) == pytest.approx(tuple(stated), rel=1e-6)
+    own_u = np.sqrt(repeats / count[np.argmax(np.abs(off))])  # of that level's mean
     worst = np.abs(off).max()
     alike = np.sum(np.abs(off) >= worst - ALIKE * own_u)
     assert alike > 1
-    assert (found.deviation, found.deviation_dof) == (pytest.approx(worst, rel=1e-9), 36)
+    assert (found.deviation, found.deviation_dof) == (pytest.approx(worst, rel=1e-9), 38)
     # the largest of n is too large by up to sqrt(2 ln n) of them
     expected = np.hypot(own_u, own_u * np.sqrt(2 * np.log(alike)))
     assert found.deviation_u == pytest.approx(expected, rel=1e-9)

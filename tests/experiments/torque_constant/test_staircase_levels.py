@@ -16,6 +16,7 @@ from rigtool.experiments.torque_constant.staircase_levels import (
     hysteresis,
     levels,
     lines_through,
+    off_trend,
     straight_slope,
 )
 from rigtool.experiments.torque_constant.staircase_refusals import (
@@ -65,6 +66,16 @@ def test_lines_are_those_of_polyfit():
     used = stairs.weight > 0
     line = stats.linregress(stairs.current[used], stairs.torque[used])
     assert straight_slope(stairs) == pytest.approx(line.slope, rel=1e-12)
+
+
+def test_off_trend_is_ripple_less_what_the_temperature_does():
+    stairs, rise = staircases(count=6, noise=0.0, friction=0.0), np.array([-2.0, -2, 0, 0, 2, 2])
+    turn = np.array([1.0, -1, 1, -1, 1, -1]) * 0.01
+    factor = 1 - 1e-3 * rise + turn
+    np.testing.assert_allclose(off_trend(stairs, 0 * rise), np.zeros(6), atol=1e-9)
+    stairs.torque = stairs.torque * factor[:, None]
+    np.testing.assert_allclose(off_trend(stairs, rise), turn, atol=1e-9)
+    np.testing.assert_allclose(off_trend(stairs, 0 * rise), factor - 1, atol=1e-9)
 
 
 def test_the_arm_gives_way_by_the_line_of_positions():

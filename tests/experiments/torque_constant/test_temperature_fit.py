@@ -29,6 +29,7 @@ from rigtool.experiments.torque_constant.staircase_fit import (
     _trend_scatter,
     fit_staircases,
 )
+from rigtool.experiments.torque_constant.staircase_levels import off_trend
 from rigtool.experiments.torque_constant.staircase_model import HEATING_TIME, Common, arrange
 from rigtool.experiments.torque_constant.temperature_fit import (
     Calibration,
@@ -204,7 +205,8 @@ def test_scatter_of_a_change_with_temperature_is_that_of_noise_on_the_plateaus()
     trend = rise / (rise @ rise)
     common = Common(30e-3 * bench.stiffness, 1.0, None, bench.time_constant)
     friction = MeanStaircases(stairs, bench.coefficient, trend).friction_of_each(common)
-    solution = _solve(stairs, bench.time_constant, friction, bench.coefficient, rise)
+    changes = rise, off_trend(stairs, rise)
+    solution = _solve(stairs, bench.time_constant, friction, bench.coefficient, changes)
     noise = (
         2e-4
         * 0.54
@@ -219,6 +221,37 @@ def test_scatter_of_a_change_with_temperature_is_that_of_noise_on_the_plateaus()
     # what the gauge's resolution gives is stated on its own
     assert_allclose(_trend_scatter(stairs, solution, trend, 0.6 * beyond), 0.8 * beyond)
     assert _trend_scatter(stairs, solution, trend, 2 * beyond) == 0.0
+
+
+def test_friction_follows_the_ripple_as_the_staircases_show():
+    """Not as a hypothesis says under which larger swings undo most of what friction holds."""
+    bench = Bench(saturation=0.0)
+    stairs = arrange(plateaus_of_set_point(**bench.record((20,)), arm_length=0.54, settle_time=0.1))
+    turn = 0.01 * np.cos(2 * stairs.rotor_angle)
+    rising = np.diff(stairs.setpoint, axis=1, prepend=-1.0) > 0
+    loop = np.where(rising, -1.0, 1.0) * np.minimum(stairs.current, 1.0)
+    held = 2e-3 * (1 + 0.5 * turn)[:, None] * loop
+    level = 0.05 * (1 + turn)[:, None] * stairs.current
+    stairs = replace(stairs, torque=level + held, temperature=0 * stairs.temperature + 20.0)
+    said = loop * (1 + 4 * turn)[:, None]
+    begun = np.exp(-np.arange(loop.shape[1])) + 0.0 * loop
+
+    def off(ripple):
+        changes = np.zeros(len(turn)), ripple
+        solution = _solve(stairs, 20.0, (said, begun), 0.0, changes)
+        return np.abs(solution.slope / 0.05 - 1 - turn).max(), solution
+
+    exact, solution = off(off_trend(stairs, np.zeros(len(turn))))
+    assert off(np.zeros(len(turn)))[0] > 10 * exact
+    # noise in friction's change is a common factor of the ripple in the slopes, and in its u
+    weight = turn / (turn @ turn)
+    noise = 1e-4 * np.random.default_rng(2).standard_normal((300, *stairs.torque.shape))
+    scattered = np.std([weight @ solution.fit.solve(each)[0][:, 0] for each in noise])
+    noisy = replace(stairs, torque=stairs.torque + noise[0])
+    changes = np.zeros(len(turn)), turn
+    found = _solve(noisy, 20.0, (said, begun), 0.0, changes)
+    both = np.hypot(_trend_scatter(noisy, found, weight, 0.0), np.linalg.norm(weight * found.u))
+    assert_allclose(both, scattered, rtol=0.3)
 
 
 def test_ripple_that_few_angles_may_not_show_has_no_uncertainty():
@@ -238,7 +271,7 @@ def test_what_the_ripple_is_uncertain_by(thesis):
     amplitudes[4] = 2e-4  # cosine of order 3
     found = AngleEffects(*([np.zeros(1)] * 4), 2e-4 / np.sqrt(2), 1e-6, 10.0, amplitudes)
     none = {"friction_share": 0.0, "deflection": 0.0, "deflection_u": 0.02}
-    none |= {"rounding": np.zeros((1, len(thesis.slopes.zero)))}
+    none |= {"ripple_u": 0.0, "rounding": np.zeros((1, len(thesis.slopes.zero)))}
     bare = replace(thesis.slopes, zero=0.0 * thesis.slopes.zero, **none)
     deflected = found.deviation * 0.05 * (3 * 0.02) ** 2
 
@@ -252,6 +285,8 @@ def test_what_the_ripple_is_uncertain_by(thesis):
     value, u, _ = of(friction_share=0.1)
     assert_allclose(value, found.deviation)
     assert_allclose(u, np.linalg.norm([1e-6, deflected, 0.025 * found.deviation]), rtol=1e-6)
+    _, u, _ = of(ripple_u=0.03)  # friction of the staircases, which may follow the ripple
+    assert_allclose(u, np.linalg.norm([1e-6, deflected, 0.03 * found.deviation]), rtol=1e-6)
     # 1 mN m of order 2 without current: its slope over the angle, times 0.02 rad
     _, u, _ = of(zero=1e-3 * np.cos(2 * bare.rotor_angle + 0.3))
     carried = 2e-3 / np.sqrt(2) * 0.02 / np.ptp(bare.level)
