@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 
 NODES, REACH = 41, 5.0
 """Values of f for which h is integrated, up to so many standard deviations from the mean."""
@@ -54,7 +54,7 @@ def possible(mean: Array, covariance: Array, largest: float) -> Possible:
     mirrored = below > 0
     upper = log_ndtr(np.where(mirrored, -below, above))
     lower = log_ndtr(np.where(mirrored, -above, below))
-    part = upper + np.log(-np.expm1(np.minimum(lower - upper, -1e-300)))
+    part = upper + np.log(-np.expm1(np.minimum(lower - upper, -TINY)))
     density = part - ((at - f) / sigma) ** 2 / 2
     top = density.max(axis=-1, keepdims=True)
     weight = np.exp(density - top)

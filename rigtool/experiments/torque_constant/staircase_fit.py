@@ -33,7 +33,7 @@ from rigtool.experiments.torque_constant.staircase_refusals import (
     require_shown,
     require_straight,
 )
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 from rigtool.numerics.residual_covariance import independent_samples, long_run_covariance
 from rigtool.numerics.turn_mean import mean_over_turn
 
@@ -114,7 +114,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     require_shown(stairs)
     rise = mean_of(stairs.temperature, stairs.weight)
     rise = rise - rise.mean()
-    trend = rise / max(float(rise @ rise), 1e-300)
+    trend = rise / max(float(rise @ rise), TINY)
     average = np.full(len(rise), 1 / len(rise))
     coefficient = _about(stairs)
     hypotheses = weigh_hypotheses(stairs, coefficient, trend)
@@ -368,7 +368,7 @@ def _trend_scatter(stairs: Stairs, solution: _Solution, trend: Array, rounding_u
     residual = (trend @ fit.residual)[used]
     independent = independent_samples(residual, np.full(len(residual), True), 1)
     free = max(len(residual) - fit.design.shape[1], 1) * independent / len(residual)
-    single = float(residual @ residual) / free / max(float(trend @ trend), 1e-300)
+    single = float(residual @ residual) / free / max(float(trend @ trend), TINY)
     square = single * float(np.sum(fit.response(trend) ** 2))
     own = float(np.sum((trend * solution.u) ** 2)) + rounding_u**2
     return math.sqrt(max(square - own, 0.0))

@@ -63,7 +63,7 @@ def by_level(level: NDArray[np.int_], values: Array, weight: Array) -> tuple[Arr
 def branches(stairs: Stairs, off_line: Array) -> tuple[Array, Array, Array]:
     """Return levels of current and the mean torque off the line on either branch, (l,)."""
     current, level = levels(stairs)
-    step = np.diff(stairs.setpoint, axis=1, prepend=np.nan)
+    step = np.diff(stairs.setpoint, prepend=np.nan)
     rising, _ = by_level(level, off_line, stairs.weight * (step > 0))
     falling, _ = by_level(level, off_line, stairs.weight * (step < 0))
     # Both branches meet where the current turns.
@@ -79,7 +79,7 @@ def hysteresis(stairs: Stairs, off_line: Array) -> tuple[float, float, int]:
     """
     low, high = stairs.setpoint.min(), stairs.setpoint.max()
     middle = stairs.weight * (np.abs(stairs.setpoint - (low + high) / 2) <= (high - low) / 5.9)
-    step = np.diff(stairs.setpoint, axis=1, prepend=np.nan)
+    step = np.diff(stairs.setpoint, prepend=np.nan)
     up, down = middle * (step > 0), middle * (step < 0)
     usable = (up.sum(axis=1) > 0) & (down.sum(axis=1) > 0)
     if not usable.any():
