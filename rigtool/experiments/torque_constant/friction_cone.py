@@ -45,7 +45,7 @@ def possible(mean: Array, covariance: Array, largest: float) -> Possible:
     rest = covariance[..., 1, 1] - covariance[..., 0, 1] ** 2 / covariance[..., 0, 0]
     narrow = np.sqrt(np.maximum(rest, 1e-12 * covariance[..., 1, 1]))[..., None]
     nearest = np.clip(f, 0.0, largest)
-    low = np.maximum(np.minimum(f, nearest) - REACH * sigma, 0.0)
+    low = np.maximum(nearest - REACH * sigma, 0.0)
     high = np.minimum(nearest + REACH * sigma, largest)
     at = low + (high - low) * (np.arange(NODES) + 0.5) / NODES
     centre = h + slope * (at - f)
