@@ -26,7 +26,7 @@ import numpy as np
 from rigtool import errors
 from rigtool.control.position_loop import position_loop
 from rigtool.errors import InsufficientDataError
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording
 
@@ -261,7 +261,7 @@ def encoder_shaking(recipe: Recipe, speed: Array) -> Array:
     """
     rig = recipe.rig
     answer = position_loop(**rig.loop_design).complementary_sensitivity.response
-    step, way = 2 * np.pi / rig.encoder_counts, np.maximum(np.abs(speed), 1e-300)
+    step, way = 2 * np.pi / rig.encoder_counts, np.maximum(np.abs(speed), TINY)
     noise = step * _speed_of_noise(**rig.loop_design) / way
     edges = np.outer(way / step, np.arange(1, EDGE_HARMONICS + 1))
     seen = edges < 0.5 / rig.sample_time

@@ -17,7 +17,7 @@ from functools import cache
 
 import numpy as np
 
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 
 LOWEST_ORDER, HIGHEST_ORDER = 4, 12
 """Range of K that is considered beside 0; with fewer, a few angles would pass for all orders."""
@@ -219,5 +219,5 @@ def _effect(
         spread = np.sum(covariance**2, axis=(1, 2)) / 2
         spread += np.einsum("hi,hij,hj->h", mean, covariance, mean)
         deviation[own] = np.sqrt(square)
-        std[own] = np.sqrt(spread / np.maximum(square, 1e-300)) / 2
-    return effect, _as_student(weight, deviation, np.maximum(std, 1e-9 * deviation.max() + 1e-300))
+        std[own] = np.sqrt(spread / np.maximum(square, TINY)) / 2
+    return effect, _as_student(weight, deviation, np.maximum(std, 1e-9 * deviation.max() + TINY))

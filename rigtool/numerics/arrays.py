@@ -6,3 +6,6 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
+
+TINY = 1e-300
+"""What stands for zero in a divisor or a logarithm."""

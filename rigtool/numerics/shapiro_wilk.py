@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 
 LAST_COEFFICIENTS = (0.0, 0.221157, -0.147981, -2.07119, 4.434685, -2.706056)
 NEXT_TO_LAST = (0.0, 0.042981, -0.293762, -1.752461, 5.682633, -3.582633)
@@ -40,7 +40,7 @@ def p_value(ordered: Array) -> float:
     if count == 3:
         side = math.asin(math.sqrt(1 - left)) - math.asin(math.sqrt(0.75))
         return min(max(6 / math.pi * side, 0.0), 1.0)
-    y = math.log(max(left, 1e-300))
+    y = math.log(max(left, TINY))
     if count < 12:
         gamma = -2.273 + 0.459 * count  # above y: W is never below n a^2/(n - 1) of the largest a
         y, (mean, spread) = -math.log(gamma - y), (polyval(count, c) for c in FEW_VALUES)

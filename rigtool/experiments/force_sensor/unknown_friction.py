@@ -156,8 +156,8 @@ def unknown_friction(
     up, down, size = every[shown].T
     least = np.sign(up) * np.minimum(np.abs(up), np.abs(down))
     if given:
-        apart = np.abs(np.diff(_cells(given, hand)[shown, :2])[:, 0]) / 2
-        least = np.sign(least) * np.fmin(np.abs(least), apart)
+        given_up, given_down, _ = _cells(given, hand)[shown].T
+        least = np.sign(least) * np.fmin(np.abs(least), np.abs(given_up - given_down) / 2)
     # friction of an instrument changes along many cells, a load may touch at one, or at an end
     next_to = np.pad(np.where(up * down < 0, least, 0.0), 1, mode="reflect")
     opposing = np.median([next_to[:-2], next_to[1:-1], next_to[2:]], axis=0)

@@ -68,7 +68,7 @@ class Turns:
             if not known[about].all() or abs(own.sum()) < KEPT * np.abs(own).sum():
                 continue
             line = np.stack([np.ones(len(own)), np.linspace(-1, 1, len(own)), own], axis=1)
-            inertia = np.linalg.lstsq(line, shown[about], rcond=None)[0][2]
+            inertia = np.linalg.lstsq(line, shown[about])[0][2]
             largest = side[first] * np.abs(acceleration[first:last]).max()
             found.append((largest, inertia, u[first:last].mean()))
         return cls(*np.array(found).reshape(-1, 3).T)

@@ -23,7 +23,7 @@ from rigtool.experiments.friction.motion_terms import (
     independent,
     weighted,
 )
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 from rigtool.numerics.residual_covariance import long_run_covariance
 
 SIGNIFICANT_RATIO = 3.0
@@ -56,23 +56,23 @@ def on_time(
     like a delay there, so it limits d and does not determine it.
     """
     design, torque, _ = weighted(motions)
-    before = np.linalg.lstsq(design[:, chosen], torque, rcond=None)[0]
+    before = np.linalg.lstsq(design[:, chosen], torque)[0]
     power = float(np.sum((torque - design[:, chosen] @ before) ** 2))
     here, delay, columns, residual = _late(motions, chosen)
     square = _last(here, columns, weighted(here)[1])[1]
-    explained = 1 - float(np.sum(residual**2)) / max(power, 1e-300)
+    explained = 1 - float(np.sum(residual**2)) / max(power, TINY)
     unstated = np.zeros(DELAY)
     shown = delay**2 > SIGNIFICANT_RATIO**2 * square
     if shown and explained > DELAY_POWER:
         unstated[chosen] = _lag(here, delay, chosen, columns)
         return here, delay, unstated
     if shown:
-        after = np.linalg.lstsq(columns, weighted(here)[1], rcond=None)[0][:-1]
+        after = np.linalg.lstsq(columns, weighted(here)[1])[0][:-1]
         unstated[chosen] = after - before
         return motions, 0.0, unstated
     reversals = _late([replace(m, used=m.sliding[-1]) for m in motions], chosen)[1]
     half = max(motion.spacing / motion.every for motion in motions) / 2
-    change = np.linalg.lstsq(columns[:, :-1], columns[:, -1], rcond=None)[0]
+    change = np.linalg.lstsq(columns[:, :-1], columns[:, -1])[0]
     unstated[chosen] = change * _likely(delay, square, max(half, abs(reversals)) ** 2 / 3)
     return motions, 0.0, unstated
 
@@ -86,14 +86,14 @@ def _late(
     """
     design, torque, _ = weighted(motions)
     here, delay = motions, 0.0
-    found = np.linalg.lstsq(design[:, chosen], torque, rcond=None)[0]
+    found = np.linalg.lstsq(design[:, chosen], torque)[0]
     solution: Array = np.asarray(found, np.float64)
     columns, residual = design[:, chosen], torque
     for _ in range(DELAY_STEPS):
         here = [_moved(motion, delay, chosen, solution) for motion in motions]
         design, torque, _ = weighted(here)
         columns = design[:, [*chosen, DELAY]]
-        found = np.linalg.lstsq(columns, torque, rcond=None)[0]
+        found = np.linalg.lstsq(columns, torque)[0]
         residual = torque - columns @ found
         solution, delay = np.asarray(found[:-1], np.float64), delay + float(found[-1])
     return here, delay, columns, residual
@@ -108,7 +108,7 @@ def _lag(
     not do that to sign(v). How much of it there is, the residuals show.
     """
     _, torque, weight = weighted(motions)
-    solution = np.linalg.lstsq(columns, torque, rcond=None)[0][:-1]
+    solution = np.linalg.lstsq(columns, torque)[0][:-1]
     linear = np.where(np.array(chosen) == DYNAMICS_PARAMETERS.index("coulomb"), 0.0, solution)
     change = np.zeros(len(chosen))
     for filtered in (solution, linear):
@@ -118,7 +118,7 @@ def _lag(
         ]
         beyond = delay**2 / 2 * weight * np.concatenate(bent)
         part, square = _last(motions, np.column_stack([columns, beyond]), torque)
-        alike = np.linalg.lstsq(columns, beyond, rcond=None)[0][:-1]
+        alike = np.linalg.lstsq(columns, beyond)[0][:-1]
         change = np.maximum(
             change, np.abs(alike) * _likely(part, square, 1 / 3) * SECOND_ORDER_RATIO
         )
@@ -128,7 +128,7 @@ def _lag(
 def _last(motions: Sequence[SmoothedMotion], columns: Array, torque: Array) -> tuple[float, float]:
     """Return the coefficient of the last regressor and its variance, infinite where the others
     explain it."""
-    found = np.linalg.lstsq(columns, torque, rcond=None)[0]
+    found = np.linalg.lstsq(columns, torque)[0]
     if own_part(columns, columns.shape[1] - 1) < SAME_AS_OTHERS:
         return 0.0, math.inf
     residual = torque - columns @ found

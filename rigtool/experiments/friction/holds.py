@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.arrays import TINY, Array, Mask
 from rigtool.numerics.checks import require_rising, require_signals
 from rigtool.numerics.settling import settled_from
 
@@ -98,7 +98,7 @@ class Holds:
         """Return the line of `lagging` over speed: at rest, N m, and its slope, N m s/rad."""
         speed = np.abs(self.speed)
         apart = speed - speed.mean()
-        slope = float(apart @ self.lagging / max(apart @ apart, 1e-300))
+        slope = float(apart @ self.lagging / max(apart @ apart, TINY))
         return float(self.lagging.mean() - slope * speed.mean()), slope
 
 
@@ -195,7 +195,7 @@ def _hold(
     speed = (position[-1] - position[first]) / (time[-1] - time[first])
     u, dof = _uncertainty(kept, revolutions)
     sample = float(np.median(np.diff(time)))
-    shaking = _shaking(kept, sample, inertia) / max(abs(speed), 1e-300)
+    shaking = _shaking(kept, sample, inertia) / max(abs(speed), TINY)
     left_out = float(time[settled] - time[0])
     shaft = position if watched is None else position - watched
     work, lagging = _by_ripple(time[first:], shaft[first:], kept, revolutions)
@@ -211,10 +211,10 @@ def _uneven(angle: Array, step: float, sample: float, count: float) -> float:
     less what its steps, `count` rad, make.
     """
     way = max(UNEVEN_COUNTS * count, UNEVEN_TIME / sample * abs(step))
-    width = min(math.ceil(way / max(abs(step), 1e-300)), len(angle) // 2)
+    width = min(math.ceil(way / max(abs(step), TINY)), len(angle) // 2)
     moved = angle[width:] - angle[:-width]
     square = float(np.var(moved)) - count**2 / 4  # the most, of a shaft that turns evenly
-    return math.sqrt(max(square, 0.0)) / max(abs(step) * width, 1e-300)
+    return math.sqrt(max(square, 0.0)) / max(abs(step) * width, TINY)
 
 
 def _by_ripple(time: Array, angle: Array, torque: Array, revolutions: int) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from rigtool.experiments.friction.inverse_dynamics import Dynamics, identify_dyn
 from rigtool.experiments.friction.motion_terms import SmoothedMotion
 from rigtool.experiments.friction.offset import undivided
 from rigtool.experiments.friction.results import SAME_COULOMB, Findings
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table
 
@@ -39,7 +39,7 @@ def add_dynamics(motions: Sequence[SmoothedMotion], found: Findings) -> None:
     found.add("coulomb_friction", (coulomb, u), "N m", dof)
     offset, offset_u = dynamics.estimate("offset")
     found.add("friction_offset", (offset, offset_u), "N m", dof)
-    unknown = undivided((offset, offset_u), max(coulomb, u, 1e-300)).unknown
+    unknown = undivided((offset, offset_u), max(coulomb, u, TINY)).unknown
     for direction in DIRECTION_NAMES.values():
         found.add(f"coulomb_friction_{direction}", (coulomb, math.hypot(u, unknown)), "N m", dof)
     found.notes.append(SAME_COULOMB)

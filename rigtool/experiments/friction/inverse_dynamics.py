@@ -49,7 +49,7 @@ from rigtool.experiments.friction.motion_terms import (
     weighted,
     with_drift,
 )
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 from rigtool.numerics.residual_covariance import kept_by_fit, long_run_covariance
 
 AS_WELL, ON_ONE_SIDE = 3.0, 2.0
@@ -176,7 +176,7 @@ def _with_all_that_fits(
     for number, part in enumerate(NEAR_STANDSTILL[1:], start=1):
         more = [replace(motion, used=motion.sliding[number]) for motion in motions]
         design, torque, weight = weighted(here)
-        solution = np.linalg.lstsq(design[:, chosen], torque, rcond=None)[0]
+        solution = np.linalg.lstsq(design[:, chosen], torque)[0]
         _, _, wider = weighted(more)
         left = np.concatenate(
             [torque - design[:, chosen] @ solution for design, torque in (m.rows() for m in here)]
@@ -200,7 +200,7 @@ def _fit(
 ) -> Dynamics:
     """Fit the chosen parameters to the samples in use."""
     design, torque, weight = weighted(motions)
-    solution = np.asarray(np.linalg.lstsq(design[:, chosen], torque, rcond=None)[0], np.float64)
+    solution = np.asarray(np.linalg.lstsq(design[:, chosen], torque)[0], np.float64)
     residual = torque - design[:, chosen] @ solution
     covariance, dof = long_run_covariance(
         design[:, chosen], residual, independent(motions, residual)
@@ -224,7 +224,7 @@ def _fit(
         covariance=total,
         dof=dof,
         residual_rms=math.sqrt(power / float(np.sum(weight**2))),
-        explained=1 - power / max(float(np.sum(level**2)), 1e-300),
+        explained=1 - power / max(float(np.sum(level**2)), TINY),
         by_speed=by_speed,
         by_position=by_position,
         single_frequency=_single_frequency(motions),
@@ -244,7 +244,7 @@ def _choice(motions: Sequence[SmoothedMotion], chosen: list[int], solution: Arra
     for number in range(len(NEAR_STANDSTILL)):
         other = [replace(m, used=m.used & m.sliding[number]) for m in motions]
         design, torque, _ = weighted(other)
-        found = np.linalg.lstsq(design[:, chosen], torque, rcond=None)[0]
+        found = np.linalg.lstsq(design[:, chosen], torque)[0]
         change = np.maximum(change, np.abs(found - solution))
     return change / math.sqrt(3)
 

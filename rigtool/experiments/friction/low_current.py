@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import TINY
 from rigtool.numerics.checks import require_signals
 from rigtool.quantity import Quantity
 
@@ -99,7 +100,7 @@ def deviation_at_low_current(
         for signal in require_signals(every, current_setpoint=current_setpoint, current=current)
     )
     low, high = np.percentile(setpoint, [0.5, 99.5])
-    number = np.floor((setpoint - low) / max(high - low, 1e-300) * SETPOINT_BINS)
+    number = np.floor((setpoint - low) / max(high - low, TINY) * SETPOINT_BINS)
     inside = (number >= 0) & (number < SETPOINT_BINS)
     setpoint, measured, index = setpoint[inside], measured[inside], number[inside].astype(np.int64)
     count = np.bincount(index, minlength=SETPOINT_BINS)

@@ -26,7 +26,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 from rigtool.numerics.residual_covariance import cosine_transform, long_run_covariance
 
 RESIDUAL_RANGES = 24
@@ -51,8 +51,8 @@ def own_part(design: Array, column: int) -> float:
     `design` (n, p).
     """
     others = np.delete(design, column, axis=1)
-    rest = design[:, column] - others @ np.linalg.lstsq(others, design[:, column], rcond=None)[0]
-    return float(np.sum(rest**2)) / max(float(np.sum(design[:, column] ** 2)), 1e-300)
+    rest = design[:, column] - others @ np.linalg.lstsq(others, design[:, column])[0]
+    return float(np.sum(rest**2)) / max(float(np.sum(design[:, column] ** 2)), TINY)
 
 
 def structure(
@@ -63,7 +63,7 @@ def structure(
     Also return the uncertainty of each parameter (p,) that follows. `over` (n,), `residual` (n,),
     `design` (n, p); `times` (n,) numbers the parts of the recordings.
     """
-    total = max(float(np.sum(residual**2)), 1e-300)
+    total = max(float(np.sum(residual**2)), TINY)
     ranges = np.empty(len(over), dtype=np.intp)
     ranges[np.argsort(over, kind="stable")] = np.arange(len(over)) * RESIDUAL_RANGES // len(over)
     power = min(max(_common(ranges, times, residual), 0.0), total)
@@ -79,7 +79,7 @@ def _patterns(means: Array) -> float:
     """Return the effective number of cosines over the ranges in the means; 1 for a single one."""
     power = cosine_transform(means) ** 2
     power[0] /= 2  # of equal length as the others
-    return float(np.sum(power) ** 2 / max(np.sum(power**2), 1e-300))
+    return float(np.sum(power) ** 2 / max(np.sum(power**2), TINY))
 
 
 def _common(ranges: NDArray[np.intp], times: NDArray[np.intp], values: Array) -> float:
@@ -145,17 +145,17 @@ def _unmodelled(
     basis = np.linalg.qr(design)[0]
     for term in terms:
         rest = term - basis @ (basis.T @ term)
-        height = np.linalg.lstsq(rest, residual, rcond=None)[0]
+        height = np.linalg.lstsq(rest, residual)[0]
         explained = float(np.sum((rest @ height) ** 2))
         if explained > best and np.all(np.sum(rest**2, 0) > 1e-6 * np.sum(term**2, 0)):
             best, found = explained, (term, rest, height)
     if found is None:
         return np.zeros(design.shape[1])
     term, rest, height = found
-    change = np.asarray(np.linalg.lstsq(design, term @ height, rcond=None)[0], np.float64)
+    change = np.asarray(np.linalg.lstsq(design, term @ height)[0], np.float64)
     left = residual - rest @ height
     scatter, _ = long_run_covariance(np.column_stack([design, term]), left, independent)
     k = len(height)
     square = float(height @ np.linalg.solve(scatter[-k:, -k:], height))
-    chance = CHANCE_LEVEL**2 * k / max(square, 1e-300)
+    chance = CHANCE_LEVEL**2 * k / max(square, TINY)
     return np.abs(change) * math.sqrt(max(0.0, 1 - chance))

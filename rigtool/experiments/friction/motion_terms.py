@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
-from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.arrays import TINY, Array, Mask
 from rigtool.numerics.checks import require_signals
 from rigtool.numerics.residual_covariance import independent_samples
 from rigtool.numerics.smoothing import (
@@ -113,7 +113,7 @@ class SmoothedMotion:
         if self.drift == 0:
             return self.design, self.torque
         slow, both = self.slow(self.drift), np.column_stack([self.design, self.torque])
-        both -= slow @ np.linalg.lstsq(slow[self.used], both[self.used], rcond=None)[0]
+        both -= slow @ np.linalg.lstsq(slow[self.used], both[self.used])[0]
         return both[:, :-1], both[:, -1]
 
 
@@ -188,7 +188,7 @@ def _smoother(position: Array, step: float, density: float) -> KernelSmoother:
     while width <= widest:
         smoother = KernelSmoother(step, width)
         acceleration = smoother(position, 2)
-        power = max(float(np.mean(acceleration**2)), 1e-300)
+        power = max(float(np.mean(acceleration**2)), TINY)
         share = noise_of_derivatives(density, width)[1] ** 2 / power
         if share < least:
             best, least = smoother, share
@@ -235,7 +235,7 @@ def with_drift(motions: Sequence[SmoothedMotion], chosen: Sequence[int]) -> list
     `DRIFT_RATIO` times the power of the next ones.
     """
     design, torque, _ = weighted(motions)
-    solution = np.linalg.lstsq(design[:, chosen], torque, rcond=None)[0]
+    solution = np.linalg.lstsq(design[:, chosen], torque)[0]
     found = []
     for motion in motions:
         turned = int(np.count_nonzero(np.diff(np.sign(motion.design[:, SPEED]))))
@@ -243,7 +243,7 @@ def with_drift(motions: Sequence[SmoothedMotion], chosen: Sequence[int]) -> list
         if count >= LEAST_DRIFT:
             left = (motion.torque - motion.design[:, chosen] @ solution)[motion.used]
             slow = motion.slow(3 * count)[motion.used]
-            power = np.linalg.lstsq(slow, left, rcond=None)[0] ** 2
+            power = np.linalg.lstsq(slow, left)[0] ** 2
             if power[:count].mean() > DRIFT_RATIO * power[count:].mean():
                 motion = replace(motion, drift=count)
         found.append(motion)

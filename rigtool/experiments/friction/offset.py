@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigtool.experiments.friction.direction_fit import DirectionFit
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 
 ASYMMETRY_U_LIMIT = 0.1
 """Largest uncertainty of an asymmetry that is separated from a constant torque."""
@@ -83,7 +83,7 @@ def half_difference(fits: Mapping[int, DirectionFit]) -> Offset:
     """Return the offset that is half of the difference between the directions' Coulomb friction."""
     (forward, u), (backward, other_u) = (fits[sign].coulomb for sign in (1, -1))
     half = (forward - backward) / 2, math.hypot(u, other_u) / 2
-    return undivided(half, max((forward + backward) / 2, half[1], 1e-300))
+    return undivided(half, max((forward + backward) / 2, half[1], TINY))
 
 
 def _weighted(design: Array, values: Array, weight: Array) -> tuple[list[float], list[float]]:

@@ -29,7 +29,7 @@ import numpy as np
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.friction.model_doubt import TIME_PARTS, own_part, structure
 from rigtool.experiments.friction.motion_terms import MIN_SAMPLES, MIN_SLIDING_WEIGHT, band_limit
-from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.arrays import TINY, Array, Mask
 from rigtool.numerics.checks import require_signals
 from rigtool.numerics.residual_covariance import (
     independent_samples,
@@ -123,7 +123,7 @@ class ParameterChange:
         i = self.names.index("gravity_cosine")
         both = self.parameters[i : i + 2]
         amplitude = float(np.linalg.norm(both))
-        way = both / max(amplitude, 1e-300)
+        way = both / max(amplitude, TINY)
         return amplitude, math.sqrt(float(way @ self.covariance[i : i + 2, i : i + 2] @ way))
 
 
@@ -200,11 +200,11 @@ def _change(
     lag: int,
 ) -> ParameterChange:
     """Fit the difference of two runs."""
-    base = np.linalg.lstsq(first.design[used][:, chosen], first.effort[used], rcond=None)[0]
+    base = np.linalg.lstsq(first.design[used][:, chosen], first.effort[used])[0]
     difference = other.effort - first.effort
     difference = difference - (other.design - first.design)[:, chosen] @ base
     design = np.where(used[:, None], other.design[:, chosen], 0.0)
-    parameters = np.linalg.lstsq(design, np.where(used, difference, 0.0), rcond=None)[0]
+    parameters = np.linalg.lstsq(design, np.where(used, difference, 0.0))[0]
     residual = np.where(used, difference - design @ parameters, 0.0)
     independent = independent_samples(residual, used, lag)
     covariance, dof = long_run_covariance(design, residual, independent)
@@ -348,7 +348,7 @@ def _refined(
         slope = np.gradient(np.interp(here, time, position), step)
         slope = slope - slope.mean()
         rms = float(np.std(apart))
-        more = float(slope @ (apart - apart.mean())) / max(float(slope @ slope), 1e-300)
+        more = float(slope @ (apart - apart.mean())) / max(float(slope @ slope), TINY)
         shift -= more
         if abs(more) < 1e-4 * step:
             break
@@ -357,7 +357,7 @@ def _refined(
 
 def _require_same(position: Array, other: Array) -> None:
     apart = other - position
-    rms = float(np.std(apart)) / max(float(np.std(position)), 1e-300)
+    rms = float(np.std(apart)) / max(float(np.std(position)), TINY)
     if rms > SAME_MOTION:
         raise InsufficientDataError(
             f"the runs are not of one motion: aligned, their positions differ by {100 * rms:.0f} % "

@@ -57,7 +57,7 @@ def add_curve_difference(
             f"{len(columns) + MIN_EXTRA_SPEEDS} are needed: hold the same speeds in both"
         )
     design = np.column_stack([values for values, _ in columns.values()]) / u[:, None]
-    parameters = np.linalg.lstsq(design, difference / u, rcond=None)[0]
+    parameters = np.linalg.lstsq(design, difference / u)[0]
     left = difference / u - design @ parameters
     dof = len(speed) - len(columns)
     # Scatter beyond the stated u counts.

@@ -19,7 +19,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.friction.direction_fit import DIRECTION_NAMES, DirectionFit, curve
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 from rigtool.numerics.checks import require_signals
 from rigtool.numerics.minimum import minimum
 
@@ -276,7 +276,7 @@ def _stribeck(v: Array, f: Array, weight: Array, exponent: float) -> DirectionFi
 
     def solve(vs: float) -> Array:
         scaled = _columns(v, vs, exponent) * weight[:, None]
-        return np.asarray(np.linalg.lstsq(scaled, f * weight, rcond=None)[0], dtype=np.float64)
+        return np.asarray(np.linalg.lstsq(scaled, f * weight)[0], dtype=np.float64)
 
     def misfit(vs: float) -> float:
         return float(np.sum(((f - _columns(v, vs, exponent) @ solve(vs)) * weight) ** 2))
@@ -322,7 +322,7 @@ def _criterion(fit: DirectionFit, v: Array, f: Array, weight: Array) -> float:
 def _corrected(residual: Array, parameters: int) -> float:
     """Return the corrected Akaike criterion for unknown variance, which counts as a parameter."""
     n, k, square = len(residual), parameters, float(residual @ residual)
-    return n * math.log(max(square / n, 1e-300)) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 1)
+    return n * math.log(max(square / n, TINY)) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 1)
 
 
 def require_explained(fits: Sequence[DirectionFit]) -> None:

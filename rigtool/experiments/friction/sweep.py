@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 from rigtool.numerics.checks import require_rising, require_signals
 
 SPEED_BINS = 60
@@ -51,7 +51,7 @@ def torque_speed_curve(
     require_rising(t)
     speed = np.gradient(angle, t)
     acceleration = np.gradient(speed, t)
-    if np.ptp(speed) <= 1e-6 * max(np.abs(speed).max(), 1e-300):
+    if np.ptp(speed) <= 1e-6 * max(np.abs(speed).max(), TINY):
         raise InsufficientDataError(
             f"the speed set point stays at {speed[0]:.3g} rad/s: a sweep runs through speeds"
         )

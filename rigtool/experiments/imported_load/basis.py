@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.imported_load.noise import EffortNoise
-from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.arrays import TINY, Array, Mask
 from rigtool.numerics.checks import require_rising, require_signals
 from rigtool.numerics.lowpass import lowpass
 
@@ -196,7 +196,7 @@ def _without_ends(time: Array, factor: int) -> slice:
 def _transient(speed: Array, memory: int) -> Mask:
     """Mark speeds far beyond the usual ones, and what the low-pass spreads them to."""
     magnitude = np.abs(speed)
-    wild = magnitude > OUTLIER_RATIO * max(float(np.percentile(magnitude, 95)), 1e-300)
+    wild = magnitude > OUTLIER_RATIO * max(float(np.percentile(magnitude, 95)), TINY)
     if not wild.any():
         return wild
     spread: Mask = np.convolve(wild, np.ones(2 * memory + 1)) > 0.5
@@ -224,7 +224,7 @@ def find_scales(paths: Sequence[ShaftPath], torques: Sequence[Array], turn: floa
         high=high,
         speed=highest,
         standstill=STANDSTILL_PART * highest,
-        acceleration=max(float(np.percentile(np.abs(acceleration), 99)), 1e-300),
+        acceleration=max(float(np.percentile(np.abs(acceleration), 99)), TINY),
         torque=load,
         turn=turn if turn > 0 and high - low >= MIN_TURNS * turn else 0.0,
     )

@@ -38,7 +38,7 @@ from rigtool.experiments.imported_load.region import (
     of_known_strokes,
     reached,
 )
-from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.arrays import TINY, Array, Mask
 
 SIDE_SIGNS = (1, -1)
 """Signs of the speed, in the order of a model's sides."""
@@ -178,7 +178,7 @@ class Paces:
         near = speeds[np.argmin(np.abs(speeds - pace))]
         pace = near if self._is_near(pace) else min(max(pace, speeds[0]), speeds[-1])
         slower, faster = (np.flatnonzero(which) for which in (speeds <= pace, speeds >= pace))
-        way = np.maximum(speeds[faster] - speeds[slower, None], 1e-300)
+        way = np.maximum(speeds[faster] - speeds[slower, None], TINY)
         share = (pace - speeds[slower, None]) / way
         low, high = (
             torque[slower, None] * (1 - share) + torque[faster] * share

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 from rigtool.numerics.welch import Welch
 
 OCTAVES = 8
@@ -109,7 +109,7 @@ def noise_of(effort: Array, rate: float, bandwidth_hz: float) -> EffortNoise:
     density = np.median([_density(part, segment, rate, bandwidth_hz) for part in parts], axis=0)
     step = float(np.ptp(effort)) / max(len(np.unique(effort)) - 1, 1)
     scatter = max(float(np.var(np.diff(effort))) / 2 - step**2 / 12, 0.0)
-    dither = math.exp(-min((2 * math.pi) ** 2 * scatter / max(step**2, 1e-300), 700.0))
+    dither = math.exp(-min((2 * math.pi) ** 2 * scatter / max(step**2, TINY), 700.0))
     return EffortNoise(density, step**2 / 12 * dither, rate)
 
 

@@ -43,7 +43,7 @@ from rigtool.experiments.imported_load.model import (
     scatter_rows,
     scatter_variance,
 )
-from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.arrays import TINY, Array, Mask
 
 Numbers = NDArray[np.intp]
 
@@ -353,7 +353,7 @@ def groups_for(names: Sequence[str], levels: int) -> tuple[str, ...]:
 
 def _fit_scatter(residual: Array, speed: Array, torque: Array) -> Array:
     """Return how the logarithm of the residual's variance goes, (3,), see `Side`."""
-    floor = 1e-6 * float(np.mean(residual**2)) + 1e-300
+    floor = 1e-6 * float(np.mean(residual**2)) + TINY
     logarithm = np.log(residual**2 + floor) + LOG_CHI2
     return np.asarray(np.linalg.lstsq(scatter_rows(speed, torque), logarithm)[0])
 
@@ -371,6 +371,6 @@ def prior_of(prior: Side, names: Sequence[str], size: Array, penalty: Array) -> 
         if LOAD_POWER.get(name, 0) > 1:
             weights, square = prior.weights[own], float(np.sum(prior.weights[own] ** 2))
             doubt = float(np.trace(prior.covariance[own, own]))
-            centre[own] = weights * size[own] * max(0.0, 1 - doubt / max(square, 1e-300))
+            centre[own] = weights * size[own] * max(0.0, 1 - doubt / max(square, TINY))
             held[own] = PRIOR_FACTOR
     return penalty * np.sqrt(np.outer(held, held)), centre

@@ -181,8 +181,8 @@ class Learning:
                 f"a cycle lasts {period:g} s: the recorded time stands still; record it again"
             )
         frequency = np.fft.rfftfreq(count, period / count)
-        spectrum = np.fft.rfft(cycles, axis=-1) * response(frequency)
-        return np.fft.irfft(spectrum, count, axis=-1)
+        spectrum = np.fft.rfft(cycles) * response(frequency)
+        return np.fft.irfft(spectrum, count)
 
 
 @dataclass(frozen=True, eq=False)

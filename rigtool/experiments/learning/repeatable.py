@@ -83,7 +83,7 @@ def repeatability(cycles: Array, spread: float = 1.0) -> Repeatability:
     count = len(cycles)
     if count < 2:
         raise ValueError(f"{count} cycle has no scatter: at least 2 are needed")
-    orders = np.fft.rfft(cycles, axis=1) / cycles.shape[1]
+    orders = np.fft.rfft(cycles) / cycles.shape[1]
     weight = np.full(orders.shape[1], 2.0)  # an order k > 0 represents -k as well
     weight[0] = 1.0
     mean = orders.mean(axis=0)
@@ -98,6 +98,6 @@ def repeatability(cycles: Array, spread: float = 1.0) -> Repeatability:
 
 def only_kept(cycles: Array, kept: Mask) -> Array:
     """Return cycles (..., n) of only those orders that are `kept` (n/2 + 1,)."""
-    orders = np.fft.rfft(cycles, axis=-1)
+    orders = np.fft.rfft(cycles)
     orders[..., ~kept] = 0.0
-    return np.fft.irfft(orders, cycles.shape[-1], axis=-1)
+    return np.fft.irfft(orders, cycles.shape[-1])

@@ -90,7 +90,7 @@ def _outwards(start: float, rows: Sequence[Row]) -> tuple[list[Row], list[Row]]:
 
 def _orders(values: Array) -> Orders:
     """Return the orders 1.. of values (..., n) by angle; the mean is friction, not ripple."""
-    return np.fft.rfft(values, axis=-1)[..., 1:] / values.shape[-1]
+    return np.fft.rfft(values)[..., 1:] / values.shape[-1]
 
 
 def leading_order(wave: Orders) -> int:
@@ -158,7 +158,7 @@ def written_out(position: Array, learned: Row, tuning: Tuning) -> tuple[LookupTa
     order = np.arange(1, wave.size + 1)
     turned = amplitude[:, None] * wave * np.exp(1j * np.outer(shift, order))
     whole = np.concatenate([np.zeros((len(speeds), 1)), turned], axis=1)
-    torque = np.fft.irfft(whole * position.size, position.size, axis=1)
+    torque = np.fft.irfft(whole * position.size, position.size)
     lowest = float(np.abs(speeds).min())
     table = LookupTable(
         position,

@@ -65,10 +65,10 @@ def by_angle(turns: Moves, signals: Array, positions: int) -> Array:
 
     Orders below half the number of angles pass; between samples they are exact.
     """
-    orders = np.fft.rfft(signals, axis=-1)
+    orders = np.fft.rfft(signals)
     if turns.setpoint[-1] < 0:
         orders = np.conj(orders)  # time runs against the angle
-    angles: Array = np.fft.irfft(orders, positions, axis=-1)  # more or fewer orders, as needed
+    angles: Array = np.fft.irfft(orders, positions)  # more or fewer orders, as needed
     return angles * (positions / signals.shape[-1])
 
 

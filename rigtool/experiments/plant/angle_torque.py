@@ -25,7 +25,7 @@ import numpy as np
 from rigtool.experiments.plant.fit import PlantFit
 from rigtool.experiments.plant.frequency_response import Experiment
 from rigtool.experiments.plant.multisine import LineNumbers
-from rigtool.numerics.arrays import Array, ComplexArray
+from rigtool.numerics.arrays import TINY, Array, ComplexArray
 
 ORDERS = 12
 """Highest order of the turn."""
@@ -126,7 +126,7 @@ def _least_squares(columns: ComplexArray, values: ComplexArray) -> Array:
     """
     flat = columns.reshape(-1, columns.shape[2])
     normal, right = (flat.conj().T @ flat).real, (flat.conj().T @ values.ravel()).real
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scale = np.sqrt(np.maximum(np.diag(normal), TINY))
     normal, right = normal / np.outer(scale, scale), right / scale
     variance, factors = np.full(len(scale), WIDEST), np.zeros(len(scale))
     for _ in range(RELEVANCE_STEPS):

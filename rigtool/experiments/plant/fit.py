@@ -32,7 +32,7 @@ from scipy import optimize, special
 from rigtool.control.plant_models import PlantModel
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.plant.frequency_response import FrequencyResponse
-from rigtool.numerics.arrays import Array, ComplexArray, Mask
+from rigtool.numerics.arrays import TINY, Array, ComplexArray, Mask
 from rigtool.numerics.jackknife import standard_uncertainty
 
 MIN_COHERENCE = 0.8
@@ -124,7 +124,7 @@ def fit_plant(found: FrequencyResponse, sample_time: float, nominal_inertia: flo
         )
     while True:
         fit = _of_lines(found, used, sample_time, nominal_inertia)
-        highest = math.sqrt(SERIES / max(fit.roll_off, 1e-300)) / (2 * math.pi)
+        highest = math.sqrt(SERIES / max(fit.roll_off, TINY)) / (2 * math.pi)
         within = used & (found.frequency <= highest)
         if not fit.model.rigid or (within == used).all():
             return fit

@@ -145,7 +145,7 @@ class _Correlations:
     @classmethod
     def of(cls, experiment: Experiment, lines: LineNumbers) -> _Correlations:
         r, u, y = (
-            np.fft.rfft(signal, axis=-1)[:, lines]
+            np.fft.rfft(signal)[:, lines]
             for signal in (experiment.reference, experiment.input, experiment.output)
         )
         powers = [np.sum(np.abs(spectrum) ** 2, axis=0) for spectrum in (r, u, y)]

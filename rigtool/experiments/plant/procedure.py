@@ -217,8 +217,7 @@ def _swing(experiment: Experiment, lines: LineNumbers, sample_time: float) -> fl
     """Return the peak of the excited speed, rad/s."""
     samples_of_period = experiment.reference.shape[-1]
     reference, output = (
-        np.fft.rfft(signal, axis=-1)[:, lines]
-        for signal in (experiment.reference, experiment.output)
+        np.fft.rfft(signal)[:, lines] for signal in (experiment.reference, experiment.output)
     )
     # Of the first period; only the part that belongs to the excitation.
     answer = reference[0] * np.sum(output * reference.conj(), axis=0)

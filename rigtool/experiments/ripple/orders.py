@@ -281,7 +281,7 @@ def coefficients(
     resolved = order <= sampling.highest_order
     correction[resolved] /= sampling.gain(order[resolved])
     correction[~resolved] = 0.0
-    return np.fft.rfft(waveforms, axis=1)[:, 1 : orders + 1] * correction
+    return np.fft.rfft(waveforms)[:, 1 : orders + 1] * correction
 
 
 @dataclass(frozen=True, eq=False)

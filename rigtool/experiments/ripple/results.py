@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from rigtool.control.position_loop import position_loop
+from rigtool.errors import InsufficientDataError
 from rigtool.experiments.ripple.orders import (
     HIGHEST_ORDER,
     Ripple,
@@ -34,6 +35,11 @@ VARYING_LIMIT = 0.05
 """Relative standard deviation of the speed around the turn without a note: friction that changes
 with the speed is then an order of some per cent of it."""
 
+STANDING_LIMIT = 1.0
+"""Relative standard deviation beyond which a rotor stands in places and leaps over others: that of
+a sine is reached where the slowest speed is a seventh of the mean. Friction of a rotor that stands
+follows its motion, so that torque is no function of the angle."""
+
 FOLLOWED_HARMONICS = 2
 """Harmonics of the encoder's steps whose alias the loop may follow: higher ones are weaker."""
 
@@ -55,17 +61,40 @@ def loop_note(recipe: Recipe, fastest: float) -> str:
 
 
 def varying_note(recordings: Sequence[Recording], ripples: Sequence[Ripple]) -> list[str]:
-    """Return a note where ripple varies the speed beyond `VARYING_LIMIT`."""
-    varying = [0.0 if own.elapsed is None else speed_variation(own.elapsed) for own in ripples]
-    worst = int(np.argmax(varying))
+    """Return a note where ripple varies the speed beyond `VARYING_LIMIT`, and one where it makes
+    the rotor stand.
+
+    Raises `InsufficientDataError` where it stands in all recordings.
+    """
+    varying = {r.name: _variation(own) for r, own in zip(recordings, ripples, strict=True)}
+    standing = [name for name, part in varying.items() if part > STANDING_LIMIT]
+    notes = []
+    if standing:
+        sticks = (
+            f"{', '.join(standing)}: the rotor sticks and slips (its speed varies by more than "
+            f"{100 * STANDING_LIMIT:.0f} % around the turn): the friction of a rotor that stands "
+            "is whatever holds it, so that no order is the motor's ripple"
+        )
+        remedy = "turn faster, or take a stiffer controller"
+        if len(standing) == len(varying):
+            raise InsufficientDataError(f"{sticks}: {remedy}")
+        notes.append(f"{sticks}, and there is no value; {remedy}")
+        varying = {name: part for name, part in varying.items() if name not in standing}
+    worst = max(varying, key=lambda name: varying[name])
     if varying[worst] <= VARYING_LIMIT:
-        return []
+        return notes
     return [
-        f"{recordings[worst].name}: ripple varies the speed by {100 * varying[worst]:.0f} % around "
+        *notes,
+        f"{worst}: ripple varies the speed by {100 * varying[worst]:.0f} % around "
         f"the turn (limit {100 * VARYING_LIMIT:.0f} %): amplitudes are those of this motion, and "
         "friction that changes with the speed, and a ripple's lag behind its angle, are part of "
-        "them; take a stiffer controller for those of an even speed"
+        "them; take a stiffer controller for those of an even speed",
     ]
+
+
+def _variation(ripple: Ripple) -> float:
+    """Return the relative standard deviation of the speed around the turn."""
+    return 0.0 if ripple.elapsed is None else speed_variation(ripple.elapsed)
 
 
 def steps_note(recordings: Sequence[Recording], recipe: Recipe) -> list[str]:
@@ -109,7 +138,7 @@ def _loop(recipe: Recipe, frequency: Array) -> ComplexArray:
 
 def _spectrum(ripple: Ripple, recipe: Recipe, turns_per_s: float) -> tuple[Spectrum, Array, Array]:
     """Return the orders of the motor's torque, the degrees of freedom of their noise floor, and the
-    u of their amplitudes by T.
+    u of their amplitudes by T. No order has a value where the rotor stands in places.
 
     T has the relative error |1 - T| times that of the inertia; what the varying speed changes has
     that of the inertia. The encoder's steps are part of the noise floor.
@@ -118,25 +147,26 @@ def _spectrum(ripple: Ripple, recipe: Recipe, turns_per_s: float) -> tuple[Spect
     # Both parts of a coefficient scatter.
     floor, dof = shared_floor(asked.order, asked.noise_floor, 2 * (len(ripple.waveforms) - 1))
     loop = _loop(recipe, asked.order * turns_per_s)
-    gain = np.where(np.abs(loop) >= LOWEST_FOLLOWED, np.abs(loop), np.nan)
+    followed = (np.abs(loop) >= LOWEST_FOLLOWED) & (_variation(ripple) <= STANDING_LIMIT)
+    gain = np.where(followed, np.abs(loop), np.nan)
     found = alone = np.nan_to_num(asked.amplitude * np.exp(1j * asked.phase)) / loop
     if ripple.elapsed is not None:
         # A varying speed spreads what the loop asks for over all orders that the cells carry.
         every = (ripple.waveforms.shape[1] - 1) // 2
         resolved = coefficients(ripple.waveforms, every, ripple.sampling).mean(axis=0)
-        followed = _loop(recipe, np.arange(1.0, every + 1) * turns_per_s)
-        followed *= np.maximum(1.0, LOWEST_FOLLOWED / np.abs(followed))
-        found = motor_orders(resolved, followed, ripple.elapsed)[: len(alone)]
+        whole = _loop(recipe, np.arange(1.0, every + 1) * turns_per_s)
+        whole *= np.maximum(1.0, LOWEST_FOLLOWED / np.abs(whole))
+        found = motor_orders(resolved, whole, ripple.elapsed)[: len(alone)]
     floor = floor / gain
     if ripple.steps is not None:
         plant = position_loop(**recipe.rig.loop_design).plant
         moved = _followed_steps(recipe, turns_per_s) / np.abs(
             plant.response(asked.order * turns_per_s)
         )
-        whole = np.hypot(floor, np.maximum(ripple.steps / gain, moved))
+        total = np.hypot(floor, np.maximum(ripple.steps / gain, moved))
         with np.errstate(divide="ignore", invalid="ignore"):
-            dof = dof * (whole / floor) ** 4  # Welch and Satterthwaite
-        floor = whole
+            dof = dof * (total / floor) ** 4  # Welch and Satterthwaite
+        floor = total
     known = np.where(np.isfinite(asked.amplitude / gain), 1.0, np.nan)
     motor = replace(
         asked,

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 
 TIME_CONSTANTS = np.geomspace(3.0, 300.0, 25)
 """Of a winding against its housing, s: from motors of some grams to some kilograms."""
@@ -101,9 +101,9 @@ def _slopes(
         rows.append(weight * (middle - (middle @ share)[:, None]))
         changes.append(weight * (change - change @ share))
     row, change = np.concatenate(rows, axis=1), np.concatenate(changes)
-    power = np.maximum(np.sum(row**2, axis=1), 1e-300)
+    power = np.maximum(np.sum(row**2, axis=1), TINY)
     slope = row @ change / power
     left = np.sum((change - slope[:, None] * row) ** 2, axis=1)
-    least, free = max(float(left.min()), 1e-300), change.size - len(recordings) - 2
+    least, free = max(float(left.min()), TINY), change.size - len(recordings) - 2
     likelihood = np.maximum(left / least, 1.0) ** (-free / 2)
     return slope, least / free / power, likelihood / likelihood.sum()

@@ -63,7 +63,7 @@ class Arm:
         """
         measured = courses.course + courses.dropped - courses.torque[:, :, None]
         swings = self.swings(courses, contacts)
-        step = np.diff(courses.torque, axis=1, prepend=courses.torque[:, :1])
+        step = np.diff(courses.torque, prepend=courses.torque[:, :1])
         common = np.einsum("gp,gpc->gc", step, measured - swings)
         swings += step[:, :, None] * (common / np.sum(step**2, axis=1)[:, None])[:, None]
         left = measured - swings

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 
 NODES, REACH = 41, 5.0
 """Values of f for which h is integrated, up to so many standard deviations from the mean."""
@@ -45,7 +45,7 @@ def possible(mean: Array, covariance: Array, largest: float) -> Possible:
     rest = covariance[..., 1, 1] - covariance[..., 0, 1] ** 2 / covariance[..., 0, 0]
     narrow = np.sqrt(np.maximum(rest, 1e-12 * covariance[..., 1, 1]))[..., None]
     nearest = np.clip(f, 0.0, largest)
-    low = np.maximum(np.minimum(f, nearest) - REACH * sigma, 0.0)
+    low = np.maximum(nearest - REACH * sigma, 0.0)
     high = np.minimum(nearest + REACH * sigma, largest)
     at = low + (high - low) * (np.arange(NODES) + 0.5) / NODES
     centre = h + slope * (at - f)
@@ -54,7 +54,7 @@ def possible(mean: Array, covariance: Array, largest: float) -> Possible:
     mirrored = below > 0
     upper = log_ndtr(np.where(mirrored, -below, above))
     lower = log_ndtr(np.where(mirrored, -above, below))
-    part = upper + np.log(-np.expm1(np.minimum(lower - upper, -1e-300)))
+    part = upper + np.log(-np.expm1(np.minimum(lower - upper, -TINY)))
     density = part - ((at - f) / sigma) ** 2 / 2
     top = density.max(axis=-1, keepdims=True)
     weight = np.exp(density - top)

@@ -24,7 +24,7 @@ from rigtool.experiments.torque_constant.staircase_model import (
     winding,
 )
 from rigtool.experiments.torque_constant.swings import friction_state, paths, straight_path
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 from rigtool.numerics.residual_covariance import independent_samples
 
 LARGEST_FRICTION = 0.25
@@ -175,7 +175,7 @@ class MeanStaircases:
         projected = np.swapaxes(q, 2, 3) @ self._torque
         rest = self._torque[..., 0] - (q @ projected[..., :1])[..., 0]
         square = np.sum(rest**2, axis=2) @ self._share
-        variance = (np.maximum(square, 1e-300) / self.dof)[:, None, None, None]
+        variance = (np.maximum(square, TINY) / self.dof)[:, None, None, None]
         # The inverse of a leading block of a triangle is the leading block of its inverse.
         inverse: Array = np.asarray(np.linalg.inv(r), dtype=np.float64)
         found = (inverse @ projected)[..., -3:-1, 0]

@@ -8,7 +8,7 @@ import numpy as np
 
 from rigtool.experiments.torque_constant.staircase_fit import SAME_TEMPERATURE, Slopes
 from rigtool.numerics.angle_effects import AngleEffects, fit_angle_effects
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 from rigtool.quantity import Quantity, combined, error_line
 
 RIPPLE_PATH_U = 0.25
@@ -45,7 +45,7 @@ def ripple_over_turn(found: AngleEffects, value: float, slopes: Slopes, *, known
     own = found.deviation**2 + float(np.sum((found.amplitudes - carried) ** 2 - square)) / 2
     deviation = math.sqrt(max(own, 0.0))
     angle = math.hypot(slopes.deflection, slopes.deflection_u)
-    turned = float(np.sum(square * (order * angle) ** 2) / max(np.sum(square), 1e-300))
+    turned = float(np.sum(square * (order * angle) ** 2) / max(np.sum(square), TINY))
     path = math.hypot(deviation, begin) * RIPPLE_PATH_U * slopes.friction_share
     path = math.hypot(path, deviation * slopes.ripple_u)
     smear = deviation * SMEARED * turned
@@ -86,7 +86,7 @@ def _carried(slopes: Slopes) -> tuple[Array, float, float]:
     order = np.arange(1, len(cosine) + 1)
     moved = (cosine - 1j * sine) * np.expm1(1j * order * slopes.deflection)
     rate = math.sqrt(float(np.sum(order**2 * (cosine**2 + sine**2))) / 2)
-    unknown = slopes.deflection * zero.deviation_u / max(zero.deviation, 1e-300)
+    unknown = slopes.deflection * zero.deviation_u / max(zero.deviation, TINY)
     carried = np.stack([moved.real, -moved.imag], axis=1).ravel()
     begin = zero.deviation / float(np.ptp(slopes.level))
     return carried, rate * math.hypot(slopes.deflection_u, unknown), begin

@@ -202,7 +202,7 @@ def _course(values: Array, start: NDArray[np.int64], stop: NDArray[np.int64]) ->
     length = (stop - start)[:, None]
     edges = start[:, None] + length * np.linspace(0, 1, SWING_PARTS + 1)
     integral = np.interp(edges, np.arange(len(total)), total)
-    course: Array = np.diff(integral, axis=1) * SWING_PARTS / length
+    course: Array = np.diff(integral) * SWING_PARTS / length
     return course
 
 

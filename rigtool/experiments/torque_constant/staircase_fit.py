@@ -34,7 +34,7 @@ from rigtool.experiments.torque_constant.staircase_refusals import (
     require_shown,
     require_straight,
 )
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 from rigtool.numerics.residual_covariance import independent_samples, long_run_covariance
 from rigtool.numerics.turn_mean import mean_over_turn
 
@@ -117,7 +117,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     require_shown(stairs)
     rise = mean_of(stairs.temperature, stairs.weight)
     rise = rise - rise.mean()
-    trend = rise / max(float(rise @ rise), 1e-300)
+    trend = rise / max(float(rise @ rise), TINY)
     ripple = off_trend(stairs, rise)
     average = np.full(len(rise), 1 / len(rise))
     coefficient = _about(stairs)
@@ -137,7 +137,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         moved_u = spread_over_zeros(plateaus, stairs, fitted + errors[::2], coefficient, trend)
     u, dof = _lack_of_fit(stairs, solution, average, resolution_u)
     trend_u = _trend_scatter(stairs, solution, trend, trend_resolution_u)
-    in_ripple = ripple / max(float(ripple @ ripple), 1e-300)
+    in_ripple = ripple / max(float(ripple @ ripple), TINY)
     require_dithered(stairs, solution.fit.residual)
     require_straight(stairs, solution.slope, solution.u, solution.fit.residual, solution.off_line)
     level, rising, falling = branches(stairs, solution.off_line)
@@ -378,7 +378,7 @@ def _trend_scatter(stairs: Stairs, solution: _Solution, trend: Array, rounding_u
     residual = (trend @ fit.residual)[used]
     independent = independent_samples(residual, np.full(len(residual), True), 1)
     free = max(len(residual) - fit.design.shape[1], 1) * independent / len(residual)
-    single = float(residual @ residual) / free / max(float(trend @ trend), 1e-300)
+    single = float(residual @ residual) / free / max(float(trend @ trend), TINY)
     square = single * float(np.sum(fit.response(trend) ** 2))
     own = float(np.sum((trend * solution.u) ** 2)) + rounding_u**2
     return math.sqrt(max(square - own, 0.0))

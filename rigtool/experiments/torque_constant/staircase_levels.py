@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.measured_levels import common_levels
 from rigtool.experiments.torque_constant.staircase_model import Stairs, mean_of
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 
 DEFLECTION_U = 0.02
 """Standard uncertainty of the angle by which an arm gives way, where it was not recorded, rad."""
@@ -28,7 +28,7 @@ def off_trend(stairs: Stairs, rise: Array) -> Array:
     the temperature, `rise` (m,) in K about the mean: relative, (m,)."""
     steep = lines_through(stairs, stairs.torque)
     steep = steep / steep.mean() - 1
-    rest: Array = steep - rise * float(rise @ steep) / max(float(rise @ rise), 1e-300)
+    rest: Array = steep - rise * float(rise @ steep) / max(float(rise @ rise), TINY)
     return rest
 
 
@@ -72,7 +72,7 @@ def by_level(level: NDArray[np.int_], values: Array, weight: Array) -> tuple[Arr
 def branches(stairs: Stairs, off_line: Array) -> tuple[Array, Array, Array]:
     """Return levels of current and the mean torque off the line on either branch, (l,)."""
     current, level = levels(stairs)
-    step = np.diff(stairs.setpoint, axis=1, prepend=np.nan)
+    step = np.diff(stairs.setpoint, prepend=np.nan)
     rising, _ = by_level(level, off_line, stairs.weight * (step > 0))
     falling, _ = by_level(level, off_line, stairs.weight * (step < 0))
     # Both branches meet where the current turns.
@@ -88,7 +88,7 @@ def hysteresis(stairs: Stairs, off_line: Array) -> tuple[float, float, int]:
     """
     low, high = stairs.setpoint.min(), stairs.setpoint.max()
     middle = stairs.weight * (np.abs(stairs.setpoint - (low + high) / 2) <= (high - low) / 5.9)
-    step = np.diff(stairs.setpoint, axis=1, prepend=np.nan)
+    step = np.diff(stairs.setpoint, prepend=np.nan)
     up, down = middle * (step > 0), middle * (step < 0)
     usable = (up.sum(axis=1) > 0) & (down.sum(axis=1) > 0)
     if not usable.any():

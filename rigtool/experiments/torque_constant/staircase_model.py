@@ -91,7 +91,7 @@ def arrange(plateaus: Plateaus) -> Stairs:
     place = np.minimum(np.arange(length.max())[None, :], length[:, None] - 1) + first[:, None]
     weight = np.where(np.arange(length.max())[None, :] < length[:, None], 1.0, 0.0)
     setpoint = plateaus.current_setpoint[place]
-    steps = np.diff(setpoint, axis=1)
+    steps = np.diff(setpoint)
     fewest = np.minimum(np.sum(steps > 0, axis=1), np.sum(steps < 0, axis=1))
     if (worst := int(np.argmin(fewest))) >= 0 and fewest[worst] < 3:
         raise InsufficientDataError(
@@ -119,7 +119,7 @@ def arrange(plateaus: Plateaus) -> Stairs:
             mean_of(plateaus.temperature[place], weight),
             _course_noise(plateaus),
         ),
-        last_step=np.diff(setpoint, axis=1, prepend=setpoint[:, :1]) * weight,
+        last_step=np.diff(setpoint, prepend=setpoint[:, :1]) * weight,
         resolution=float(plateaus.resolution.max()),
         noise=float(np.sqrt(np.mean(plateaus.noise**2))),
     )
@@ -147,7 +147,7 @@ def winding(stairs: Stairs, time_constant: float) -> tuple[Array, Array]:
     decay = np.exp(-(stairs.end - stairs.begin) / time_constant)
     idle = np.ones(decay.shape)
     idle[:, 1:] = np.exp(-(stairs.begin[:, 1:] - stairs.end[:, :-1]) / time_constant)
-    change = np.diff(stairs.temperature, axis=1, prepend=stairs.temperature[:, :1])
+    change = np.diff(stairs.temperature, prepend=stairs.temperature[:, :1])
     power = stairs.current**2 * (1 + COPPER_COEFFICIENT * (stairs.temperature - 20))
     before, after = np.empty(decay.shape), np.empty(decay.shape)
     lag = np.empty(decay.shape)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 
 MAX_TURNS = 12
 """Largest number of turns of the arm that count after one step."""
@@ -35,7 +35,7 @@ beside none."""
 NOISE_RANGE = 6.0
 """Turns count beyond this many standard deviations of the noise, whose own range is about 5."""
 
-LEAST_REST, FULL_SLIDE = 1e-300, -1.0 + 2.0**-53
+LEAST_REST, FULL_SLIDE = TINY, -1.0 + 2.0**-53
 """In place of r = 0 and of the logarithm's argument where contacts slide."""
 
 
@@ -150,15 +150,15 @@ def _torque_changes(
     off = torque - torque.mean(axis=0)
     found = (off @ inverse)[:, 1:]
     warm = temperature - temperature.mean()
-    warm /= max(float(np.linalg.norm(warm)), 1e-300)
+    warm /= max(float(np.linalg.norm(warm)), TINY)
     ripple = found - np.outer(warm, warm @ found)
     score = np.column_stack([warm, ripple])
     rate = np.stack([warm @ found @ columns[1:], *columns[1:]])
     if len(torque) >= FEWEST_FOR_RATE:
-        size = np.maximum(np.linalg.norm(score, axis=0), 1e-300)
-        rest = np.linalg.lstsq(score / size, off - score @ rate, rcond=None)[0]
+        size = np.maximum(np.linalg.norm(score, axis=0), TINY)
+        rest = np.linalg.lstsq(score / size, off - score @ rate)[0]
         rate = rate + rest / size[:, None]
-    steps = np.diff(columns[1:], axis=1, prepend=columns[1:, :1])
+    steps = np.diff(columns[1:], prepend=columns[1:, :1])
     mean_steps = (torque.mean(axis=0) @ inverse)[1:] @ steps
     still = mean_steps == 0  # the first plateau, and those that lengthen a shorter staircase
     grown = np.stack([found - ripple, ripple]) @ steps / np.where(still, np.inf, mean_steps)
@@ -186,12 +186,12 @@ def _swing_changes(
     lags = np.append(0.0, np.geomspace(np.max(part), LONGEST_RIPPLE_LAG * np.max(part), LAGS))
     lagged = np.stack([_behind(average, torque, lag / part) for lag in lags])
     square = float(np.sum(rest**2)) + np.sum(power * lagged**2 - 2 * matched * lagged, axis=(1, 2))
-    variance = max(float(square.min()) / rest.size, 1e-300)
+    variance = max(float(square.min()) / rest.size, TINY)
     probable = np.exp(-(square - square.min()) / (2 * variance))
     course = np.tensordot(probable / probable.sum(), lagged, 1)
     found = found + with_ripple[:, :, None] * course
     for size in grown.mean(axis=2):
-        root = max(float(np.linalg.norm(size)), 1e-300)
+        root = max(float(np.linalg.norm(size)), TINY)
         own = without_noise(np.tensordot(size / root, swing - average - found, 1), noise)[0]
         found = found + (size / root)[:, None, None] * own
     return found
@@ -291,7 +291,7 @@ def straight_path(courses: Courses) -> Array:
     """Return the path of an arm that friction hardly holds back, (1, g, p) N m: k times a step."""
     slope = np.ptp(courses.torque) / np.ptp(courses.setpoint)
     first = courses.setpoint[:, :1]
-    swing: Array = slope * np.diff(courses.setpoint, axis=1, prepend=first)[None]
+    swing: Array = slope * np.diff(courses.setpoint, prepend=first)[None]
     return swing
 
 

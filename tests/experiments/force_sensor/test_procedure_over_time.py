@@ -65,7 +65,7 @@ def test_a_contact_that_nothing_knows_of_is_read(strokes):
 
 
 def test_no_other_number_has_changed(strokes):
-    require_unchanged("over-time", strokes, alone=True)
+    require_unchanged("over-time", strokes)
 
 
 def test_the_reference_judges_each_form(strokes):

@@ -67,8 +67,8 @@ def compensated(folder, kt, friction):
 
 
 def test_no_other_number_has_changed(learned, compensated):
-    require_unchanged("C", learned[1], alone=True)
-    require_unchanged("C-compensated", compensated[1], alone=True)
+    require_unchanged("C", learned[1])
+    require_unchanged("C-compensated", compensated[1])
 
 
 def test_little_remains_of_the_disturbance(learned):

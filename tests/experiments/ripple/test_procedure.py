@@ -50,7 +50,7 @@ def measured(folder, kt):
 
 
 def test_no_other_number_has_changed(measured):
-    require_unchanged("ripple", measured[1], alone=True)
+    require_unchanged("ripple", measured[1])
 
 
 def test_the_second_order_is_strongest_slowly_and_the_first_fast(measured):

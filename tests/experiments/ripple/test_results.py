@@ -1,6 +1,7 @@
 """Stored orders with their u and dof, beside the law of propagation line by line."""
 
 import math
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from rigtool.control.position_loop import position_loop
+from rigtool.errors import InsufficientDataError
 from rigtool.experiments.ripple.orders import HIGHEST_ORDER, Ripple, spectrum
 from rigtool.experiments.ripple.results import (
     INERTIA_U,
@@ -18,6 +20,7 @@ from rigtool.experiments.ripple.results import (
     loop_note,
     revolutions_table,
     ripple_results,
+    varying_note,
 )
 from rigtool.experiments.ripple.shared_scatter import shared_floor
 from rigtool.quantity import Quantity, combined, error_line
@@ -214,3 +217,35 @@ def test_steps_of_the_encoder_are_part_of_the_floor_with_t_taken_off():
     np.testing.assert_allclose(shown["noise_floor"][0], math.sqrt(5) * floor, rtol=1e-3)
     # scatter is a fifth of the variance: of the floor alone, 25 times its degrees of freedom
     assert shown["dof"][0, 79] == pytest.approx(25 * without["dof"][0, 79], rel=0.03)
+
+
+def swinging(part):
+    """Return when a rotor passes its cells whose speed is 1 + part*cos(time), twice a turn."""
+    time = np.linspace(0.0, 1.0, 20001)
+    angle = time + part * np.sin(4 * np.pi * time) / (4 * np.pi)
+    return np.interp(np.linspace(0.0, 1.0, POSITIONS + 1), angle, time)
+
+
+def test_a_rotor_that_sticks_and_slips_has_no_ripple_and_the_others_have():
+    """Time for each angle goes with 1/speed: its mean is 1, its mean square 1/sqrt(1 - part^2)."""
+    recipe, _ = load_recipe(RECIPE, ())
+    names, parts = ["slow", "swings", "fast"], [0.88, 0.85, 0.01]
+    made = [replace(ripple({2: 1e-3}, 3), elapsed=swinging(part)) for part in parts]
+    recordings = [
+        SimpleNamespace(name=name, condition=lambda _, v=v: v)
+        for v, name in enumerate(names, start=1)
+    ]
+    constants = dict.fromkeys(names, Quantity(0.045, "N m/A", 1e-9, reason=None))
+    tables = condition_tables("speed", "speed", "rad/s", recordings, made, constants, recipe)
+    spectra = tables["speed_spectrum"]
+    for column in ("amplitude", "noise_floor", "u"):
+        assert np.isfinite(spectra[column][:, 1]).tolist() == [False, True, True]
+    sticks, varies = varying_note(recordings, made)
+    assert sticks.startswith("slow: the rotor sticks and slips")
+    stated = re.match(r"swings: ripple varies the speed by (\d+) %", varies)
+    square = 1 / math.sqrt(1 - 0.85**2) - 1
+    assert int(stated.group(1)) == pytest.approx(100 * math.sqrt(square), rel=0.03)
+    assert varying_note(recordings[2:], made[2:]) == []
+    assert len(varying_note(recordings[::2], made[::2])) == 1
+    with pytest.raises(InsufficientDataError, match=r"slow: the rotor sticks .* turn faster"):
+        varying_note(recordings[:1], made[:1])

@@ -45,6 +45,13 @@ def test_the_variation_of_the_speed_is_its_standard_deviation(part):
     assert speed_variation(place + late) == pytest.approx(part, rel=1e-3, abs=1e-9)
 
 
+@pytest.mark.parametrize(("order", "part"), [(1, 0.1), (30, 0.1), (31, 0.0)])
+def test_the_speed_varies_up_to_order_30(order, part):
+    place = np.arange(501) / 500
+    late = 0.1 * np.sqrt(2) * np.sin(2 * np.pi * order * place) / (2 * np.pi * order)
+    assert speed_variation(place + late) == pytest.approx(part, rel=1e-3, abs=1e-9)
+
+
 def test_steps_of_the_encoder_in_the_times_of_a_turn_make_no_order():
     """Edges at order 92 that shift the times, beside order 94 of the torque: no order 2 of it."""
     edges = np.linspace(0.0, 1.0, 501)

@@ -177,7 +177,7 @@ def _through(error: Array, period: float, controller: TransferFunction) -> Array
     frequency = np.fft.rfftfreq(count, period / count)
     response = np.zeros(frequency.size, dtype=np.complex128)
     response[1:] = controller.response(frequency[1:])
-    return np.fft.irfft(np.fft.rfft(error, axis=1) * response, count, axis=1)
+    return np.fft.irfft(np.fft.rfft(error) * response, count)
 
 
 def _trajectory(learned: TaughtSignal, final: _Moves, recipe: Recipe, learning: Learning) -> Table:

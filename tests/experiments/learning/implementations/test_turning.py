@@ -109,7 +109,7 @@ def test_runs_with_and_without_the_table_are_recorded_to_validate_it(kind, valid
 @pytest.mark.parametrize("number", [0, 1])
 def test_no_other_number_has_changed(request, proof, number):
     if request.node.callspec.params["proof"] == SEEDS[0]:
-        require_unchanged("AB"[number], proof[number], alone=True)
+        require_unchanged("AB"[number], proof[number])
 
 
 def test_little_remains_at_any_speed(proof):
@@ -341,7 +341,7 @@ def standard(folder, kt):
 
 
 def test_no_other_number_of_the_move_has_changed(standard):
-    require_unchanged("standard", standard[1], alone=True)
+    require_unchanged("standard", standard[1])
 
 
 def test_the_error_of_a_repeated_move_is_learned_away(standard):
