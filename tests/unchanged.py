@@ -4,9 +4,9 @@ Tests of single numbers see what somebody thought of. Where a test has an outcom
 numbers of it are compared as well; `make references` stores them anew.
 
 A loop with an encoder amplifies rounding, so that signals of the virtual rig, and what is learned
-from them, are others on a machine that rounds otherwise. There nothing is compared. Elsewhere nothing
-may change, not even a signal. `tests/conftest.py` sets vector units that all processors with AVX2
-have.
+from them, are others on a machine that rounds otherwise. There nothing is compared. Elsewhere
+nothing may change, not even a signal. `tests/conftest.py` sets vector units that all processors
+with AVX2 have.
 """
 
 import functools
