@@ -18,10 +18,7 @@ from rigtool.experiments.force_filter.motion_states import CREEP_SPEED_RATIO, Re
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.stored import model_from
 from rigtool.experiments.force_sensor.encoder_zero import EncoderZero, encoder_zero
-from rigtool.experiments.force_sensor.procedure_calibration import (
-    require_calibration,
-    with_zero_of,
-)
+from rigtool.experiments.force_sensor.procedure_calibration import require_calibration, with_zero_of
 from rigtool.experiments.force_sensor.procedure_instrument import (
     largest_friction,
     of_this_instrument,

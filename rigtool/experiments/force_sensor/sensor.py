@@ -79,8 +79,7 @@ class SensorProperties:
         widths[1:, State.STILL] = rests
         widths[1:, State.REVERSED] = min(slope * self.count / 2, rests)
         widths[2, State.REVERSED] = max(widths[1, State.REVERSED], rests / 2)
-        open_: Array = (plant.torque_factor * widths) ** 2 / 3
-        return open_
+        return (plant.torque_factor * widths) ** 2 / 3
 
     @cached_property
     def creeping_torque(self) -> float:
@@ -93,13 +92,11 @@ class SensorProperties:
         rectangle as wide as the friction that bristles lack which are `unbent` (m,) while the rotor
         creeps (`creeping`)."""
         lacking = (self.creeping_torque * unbent) ** 2 / 3
-        least: Array = np.maximum(self.open_variances[idling, kinds], lacking)
-        return least
+        return np.maximum(self.open_variances[idling, kinds], lacking)
 
     def limited(self, current: Array) -> NDArray[np.bool_]:
         """Return where a current (n,) A is at its limit."""
-        found: NDArray[np.bool_] = np.abs(current) >= AT_THE_LIMIT * self.current_limit
-        return found
+        return np.abs(current) >= AT_THE_LIMIT * self.current_limit
 
     def filter(self, uncertainty: Uncertainty) -> Filter:
         """Return the filter for samples that begin without a gap."""

@@ -56,12 +56,7 @@ EDGE_STEPS = 2
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
     """One recording for each speed and set of phases; both directions are in it."""
     recorded = channels(
-        "time",
-        "current_setpoint",
-        "signal_current",
-        "position_setpoint",
-        "encoder",
-        "temperature",
+        "time", "current_setpoint", "signal_current", "position_setpoint", "encoder", "temperature"
     )
     period = period_samples(recipe) * recipe.rig.sample_time
     return tuple(

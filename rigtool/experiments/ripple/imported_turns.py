@@ -28,11 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.ripple.orders import (
-    HIGHEST_ORDER,
-    Spectrum,
-    cell_centres,
-)
+from rigtool.experiments.ripple.orders import HIGHEST_ORDER, Spectrum, cell_centres
 from rigtool.experiments.ripple.revolutions import Revolutions
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, require_signals

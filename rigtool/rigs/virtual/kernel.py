@@ -321,16 +321,7 @@ def run(
             speed += dt * yielding * torque
         else:
             speed, outside, _ = touched(
-                p,
-                touch[k],
-                tissues,
-                time,
-                angle,
-                speed,
-                1.0,
-                torque,
-                p.load_torque,
-                1.0 / yielding,
+                p, touch[k], tissues, time, angle, speed, 1.0, torque, p.load_torque, 1.0 / yielding
             )
             outside_sum += outside
         angle += dt * speed

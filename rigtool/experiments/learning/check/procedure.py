@@ -114,13 +114,7 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
 
 
 def measure(
-    rig: Rig,
-    recipe: Recipe,
-    recorder: RunWriter,
-    *,
-    tables: Run,
-    kt: Run,
-    plant: Run | None = None,
+    rig: Rig, recipe: Recipe, recorder: RunWriter, *, tables: Run, kt: Run, plant: Run | None = None
 ) -> None:
     """Move as the table was learned: with the same feed-forward, without the table."""
     require_rig(tables, recipe)
@@ -138,12 +132,7 @@ def measure(
 
 
 def analyse(
-    runs: Sequence[Run],
-    recipe: Recipe,
-    *,
-    tables: Run,
-    kt: Run,
-    plant: Run | None = None,
+    runs: Sequence[Run], recipe: Recipe, *, tables: Run, kt: Run, plant: Run | None = None
 ) -> Outcome:
     """Compare the torque of the stored moves with the table.
 

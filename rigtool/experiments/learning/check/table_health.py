@@ -239,8 +239,7 @@ def judge_table(parts: Sequence[ParityPart], position: Array, period: float | No
     power = max(pattern**2, np.finfo(float).tiny)
     influence = 2 * np.mean(left * fit.moves, axis=2).sum(axis=1) / speeds
     unexplained = HealthChange(
-        excess(left) ** 2 / power,
-        wider * float(influence.std(ddof=1)) / math.sqrt(count) / power,
+        excess(left) ** 2 / power, wider * float(influence.std(ddof=1)) / math.sqrt(count) / power
     )
     u = np.maximum(wider * fit.each.std(axis=0, ddof=1) / math.sqrt(count), fit.misfit_u)
     return TableHealth(

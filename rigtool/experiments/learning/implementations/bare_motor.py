@@ -136,8 +136,7 @@ def task(spec: RecordingSpec, fed: Feedforward) -> Task:
     if spec.name.startswith("sweep_"):
         last = end + SETTLE_TIME
         profile = SpeedProfile(
-            (0.0, run_up, begin, end, last, last + run_up),
-            (0.0, -speed, -speed, speed, speed, 0.0),
+            (0.0, run_up, begin, end, last, last + run_up), (0.0, -speed, -speed, speed, speed, 0.0)
         )
     else:
         last = end + STOP_MARGIN

@@ -48,7 +48,7 @@ def iterations_table(history: Sequence[LearningRun], unit: str, what: str) -> Ta
     """Return amplitude against iteration; `what` names the signal."""
 
     def column(read: Callable[[LearningRun], float], text: str, of: str = unit) -> Column:
-        return Column(np.array([read(run) for run in history]), of, text)
+        return Column([read(run) for run in history], of, text)
 
     return Table(
         ("iteration",),
