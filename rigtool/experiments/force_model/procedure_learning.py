@@ -98,8 +98,7 @@ def learn_force(
     """Learn from strokes under known loads, moves without one, and the exploration.
 
     `switched` are moves with the learned table switched on, `checks` motions under known loads to
-    which nothing is fitted: they show u.
-    Raises `InsufficientDataError` where they do not carry it.
+    which nothing is fitted: they show u. Raises `InsufficientDataError` where they do not carry it.
     """
     rig = recipe.rig
     warm = float(np.mean([np.mean(recording.read("temperature")) for recording in strokes]))

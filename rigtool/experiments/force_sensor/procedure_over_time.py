@@ -121,8 +121,7 @@ def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: R
     if not recorded:
         raise RunFileError(
             f"{run.path}: has no recording with the channels {', '.join(NEEDED_CHANNELS)}: record "
-            "one with "
-            "--record or --observe"
+            "one with --record or --observe"
         )
     model, reach = model_and_reach(tables, kt, recipe)
     read = [read_recording(r, recipe, kt, model, reach) for r in recorded if r.size]

@@ -47,8 +47,7 @@ class ParityPart:
     """One parity at one speed: learned (n,) and each present move (m, n), N m.
 
     `learned_u` (n,) is the standard uncertainty of the learned part. `odd` has the sign of the
-    speed; with one direction alone, everything counts as
-    `even`.
+    speed; with one direction alone, everything counts as `even`.
     """
 
     speed: float

@@ -294,7 +294,7 @@ class BareMotor(Implementation[T]):
     ) -> LearningReport:
         """Report the table, and the remaining disturbance with it on."""
         filters, history = self.filters.learning, taught.history
-        after = self.turned(common.found(run, "validate"))
+        after = self.turned(run.recordings_of("validate"))
         counts = self.recipe.rig.encoder_counts
         remains = remaining(self.before(taught, recorded[0]), after, filters, counts)
         if len(history) == 1 or not history[-1].finished:  # else that table was on already
