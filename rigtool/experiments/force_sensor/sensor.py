@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.creeping import Creeping
-from rigtool.experiments.force_filter.estimate import Again, Estimate, Filter, Signals
+from rigtool.experiments.force_filter.estimate import Estimate, Filter, Signals
 from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_filter.motion_states import (
     KIND_COUNT,
@@ -28,6 +28,7 @@ from rigtool.experiments.force_filter.motion_states import (
     States,
 )
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED
+from rigtool.experiments.force_filter.smoothed import Again
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.intervals import uncertainty_of_kinds
 from rigtool.experiments.force_model.steps import CONTEXT_SAMPLES, FilterSteps, Sampler, Stepper
