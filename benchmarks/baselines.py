@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.experiments.learning.implementations import bare_motor
-from rigtool.experiments.learning.implementations import signals as common
 from rigtool.experiments.learning.procedure_design import design_filters
 from rigtool.experiments.learning.rows import Row
 from rigtool.experiments.learning.turns import TURN, repeatable_row, turn_angles
@@ -82,7 +81,7 @@ def left_over(run: Run, kt: Run) -> dict[str, dict[float, float]]:
     counts = recipe.rig.encoder_counts
 
     def rows(kind: str) -> list[Row]:
-        items = (bare_motor.turned(r, recipe, constant) for r in common.found(run, kind))
+        items = (bare_motor.turned(r, recipe, constant) for r in run.recordings_of(kind))
         return [bare_motor.learned_by(item, learning, counts) for item in items]
 
     taught, judged = [], []

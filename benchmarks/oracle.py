@@ -26,9 +26,10 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt, sosfiltfilt
 
-from rigtool.experiments.force_filter.estimate import Filter, Signals, smoothed
+from rigtool.experiments.force_filter.estimate import Filter, Signals
 from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_filter.plant import Plant, dahl
+from rigtool.experiments.force_filter.smoothed import smoothed
 from rigtool.recipe import Recipe, load_recipe
 from rigtool.recipe.commands import ForceMotion
 from rigtool.recipe.virtual import Hand, Mass, Pulse, Ramp, Sine, Tissue

@@ -31,11 +31,7 @@ SIGNALS: dict[str, tuple[str, str, str]] = {
     "current": ("A", "A", "motor current as measured"),
     "current_setpoint": ("A", "A", "set point of the motor current"),
     "torque": ("N m", "N m", "motor torque, as the drive or a sensor reports it"),
-    "relative_torque": (
-        "1",
-        "1",
-        "relative to the rated torque, as the drive reports it",
-    ),
+    "relative_torque": ("1", "1", "relative to the rated torque, as the drive reports it"),
     "force": ("N", "N", "force along the axis, as the drive or a sensor reports it"),
     "output_position": ("rad", "m", "behind the motor's gearbox"),
     "output_position_setpoint": ("rad", "m", "set point behind the motor's gearbox"),

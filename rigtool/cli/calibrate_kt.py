@@ -6,10 +6,7 @@ from rigtool.cli.options import measuring, run_and_print
 from rigtool.experiments.running.options import CommonOptions
 
 
-@measuring(
-    "rigtool calibrate-kt rig.toml -o kt.h5",
-    "rigtool calibrate-kt imported/*.h5 -o kt.h5",
-)
+@measuring("rigtool calibrate-kt rig.toml -o kt.h5", "rigtool calibrate-kt imported/*.h5 -o kt.h5")
 def command(sources: tuple[str, ...], output: str, options: CommonOptions) -> None:
     """Find the torque constant against temperature.
 

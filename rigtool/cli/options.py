@@ -168,11 +168,7 @@ def _flag(*names: str, callback: Callable[..., None], help: str) -> click.Option
 
 
 OUTPUT_OPTIONS = (
-    _flag(
-        "--overwrite",
-        callback=_asked("overwrite", True),
-        help="Replace an output that exists.",
-    ),
+    _flag("--overwrite", callback=_asked("overwrite", True), help="Replace an output that exists."),
     _flag("--json", "as_json", callback=_asked("json", True), help="Print one JSON document."),
     _flag(
         "--no-tables",

@@ -22,11 +22,8 @@ def recordings_of(runs: Sequence[Run]) -> list[Recording]:
 
     Raises `RunFileError` for a run that holds only a map.
     """
-    return [
-        recording
-        for run in runs
-        for recording in (run.recordings_named(f"{IMPORTED}_") or [run.recording(IMPORTED)])
-    ]
+    many = ((run, run.recordings_named(f"{IMPORTED}_")) for run in runs)
+    return [recording for run, own in many for recording in own or [run.recording(IMPORTED)]]
 
 
 def rotary_recordings(runs: Sequence[Run], why: str) -> list[Recording]:

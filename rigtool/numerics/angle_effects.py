@@ -185,12 +185,7 @@ def _as_student(probable: Array, mean: Array, std: Array) -> tuple[float, float,
 
 
 def _effect(
-    x: Array,
-    y: Array,
-    z: Array,
-    probable: Array,
-    amplitude: Array,
-    highest: tuple[int, ...],
+    x: Array, y: Array, z: Array, probable: Array, amplitude: Array, highest: tuple[int, ...]
 ) -> tuple[Array, tuple[float, float, float]]:
     """Return the mean amplitudes of the orders (2 K,); the deviation over a turn, its u and dof.
 

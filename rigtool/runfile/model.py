@@ -82,8 +82,8 @@ class Column:
     unit: str
     description: str = ""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "values", _storable(np.asarray(self.values)))
+    def __init__(self, values: ArrayLike, unit: str, description: str = "") -> None:
+        vars(self).update(values=_storable(np.asarray(values)), unit=unit, description=description)
 
 
 def dof_column(values: ArrayLike) -> Column:

@@ -107,6 +107,10 @@ class Run:
         """Return the recordings whose name begins so and that hold samples, in file order."""
         return [r for n, r in self.recordings.items() if n.startswith(prefix) and r.size]
 
+    def recordings_of(self, kind: str) -> list[Recording]:
+        """Return the recordings `kind_000` and on; raises `RunFileError` where there are none."""
+        return self.recordings_named(f"{kind}_") or [self.recording(f"{kind}_000")]
+
     def table(self, name: str, *axes: str, **units: str) -> Table:
         """Return a table. Where axes are named, it is over these; columns that are named hold
         numbers in this unit. Raises `RunFileError` for anything else.

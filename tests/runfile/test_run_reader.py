@@ -287,6 +287,9 @@ def test_recordings_by_prefix_leave_out_empty_ones(tmp_path):
         assert math.isclose(run.recording("load_000").duration(), 9e-3, rel_tol=1e-12)
         with pytest.raises(RunFileError, match="no recording 'load_001', only load_000, load_002"):
             run.recording("load_001")
+        assert [item.name for item in run.recordings_of("load")] == ["load_000", "load_002"]
+        with pytest.raises(RunFileError, match="no recording 'learn_000', only load_000, load_002"):
+            run.recordings_of("learn")
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])

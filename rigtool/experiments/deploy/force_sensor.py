@@ -40,9 +40,8 @@ def sensor_header(
     """Return the text of the header for samples every `instrument.interval` s.
 
     `coverage_factor` is that of the interval, and `origin` are the lines about where the numbers
-    come from. Raises `ValueError` for
-    samples further apart than those of the equations, for an output without inertia, bearings with
-    asymmetry, and numbers that are not finite.
+    come from. Raises `ValueError` for samples further apart than those of the equations, for an
+    output without inertia, bearings with asymmetry, and numbers that are not finite.
     """
     grid, model = instrument.grid, instrument.model
     if not grid.immediate:

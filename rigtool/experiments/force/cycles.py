@@ -185,12 +185,7 @@ def normality(values: ArrayLike) -> Normality:
     quantile = np.array([NormalDist().inv_cdf(p) for p in probability.tolist()])
     # Shapiro-Wilk knows no scale; numbers near one keep its sums well conditioned.
     scaled = (ordered - ordered.mean()) / ordered.std()
-    return Normality(
-        ordered=ordered,
-        quantile=quantile,
-        probability=probability,
-        p=p_value(scaled),
-    )
+    return Normality(ordered=ordered, quantile=quantile, probability=probability, p=p_value(scaled))
 
 
 def curves(

@@ -157,14 +157,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: Run) -> Out
     return Outcome(
         {**outcome.results, **more.results},
         {**outcome.tables, **more.tables},
-        (
-            *_input_notes(kt, tables),
-            *remarks,
-            *outcome.notes,
-            note,
-            *failed,
-            *more.notes,
-        ),
+        (*_input_notes(kt, tables), *remarks, *outcome.notes, note, *failed, *more.notes),
     )
 
 

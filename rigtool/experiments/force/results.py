@@ -251,7 +251,7 @@ def loads_table(
         columns={
             "load": Column(np.arange(len(rows)), "1", "in the order of measurement"),
             **{
-                name: Column(np.array([row.column(name) for row in rows]), unit, about)
+                name: Column([row.column(name) for row in rows], unit, about)
                 for name, (unit, about) in columns.items()
             },
         },
@@ -337,7 +337,7 @@ def _curve_tables(loads: Sequence[LoadReadings], recipe: Recipe) -> dict[str, Ta
             columns={
                 "load": Column(np.arange(len(loads)), "1"),
                 "position": position,
-                "torque": Column(np.stack([w.mean(axis=0) for w in whole]), "N m", "at the output"),
+                "torque": Column([w.mean(axis=0) for w in whole], "N m", "at the output"),
             },
             signal="torque",
             description="mean cycle of each load",

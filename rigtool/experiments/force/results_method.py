@@ -46,8 +46,7 @@ def require_slow_strokes(recipe: Recipe, motion: Triangle) -> None:
         raise InsufficientDataError(
             f"loads go up and down {rate:.3g} times a second, and the low-pass of {cutoff:g} Hz "
             f"lets {MAX_CYCLES_IN_PERIOD * cutoff:.3g} pass: set measure_force.speed_rev_per_s "
-            "lower, or "
-            "lowpass_hz higher"
+            "lower, or lowpass_hz higher"
         )
 
 

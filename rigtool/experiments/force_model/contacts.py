@@ -107,11 +107,7 @@ class Contact:
 
 
 def trial(
-    torque: Array,
-    deviation: Array,
-    kinds: States,
-    step_time: float,
-    doubt: Array | float = 0.0,
+    torque: Array, deviation: Array, kinds: States, step_time: float, doubt: Array | float = 0.0
 ) -> Trial:
     """Return the tests of a stretch from torque and deviation of the filter without contacts, N m;
     (m,).

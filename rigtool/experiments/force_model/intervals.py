@@ -88,8 +88,7 @@ def uncertainty_of_kinds(
     (m,) where the noise of the torque is raised, and (c s)^2 is at `least` that, (m,) N2 m2."""
     factor, share = scales[kinds].T
     own = np.maximum((np.maximum(factor, opened) * deviation) ** 2, least)
-    u: Array = np.sqrt(own + (share * torque) ** 2 + variance)
-    return u
+    return np.sqrt(own + (share * torque) ** 2 + variance)
 
 
 def scales(parts: Sequence[Errors], *, shown: bool = True) -> Array:

@@ -17,13 +17,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_model.deviations import Deviations
-from rigtool.experiments.force_model.model import (
-    Known,
-    Shape,
-    Sizes,
-    Term,
-    terms_for,
-)
+from rigtool.experiments.force_model.model import Known, Shape, Sizes, Term, terms_for
 from rigtool.experiments.force_model.records import SLIDING_COUNT_RATE, Record, bristle_scale
 from rigtool.experiments.force_model.sliding_problem import (
     SLIDING_PARAMETERS,
@@ -103,12 +97,11 @@ class SlidingFit:
         `learned_from`, as their residuals are correlated (`sliding_scatter`)."""
         own = self.problem
         priors = np.concatenate([own.shape_spread, own.spread]) ** -2.0
-        found: Array = (
+        return (
             model.covariance
             @ (np.diag(priors) + self.moments[np.asarray(chosen)].sum(axis=0))
             @ model.covariance
         )
-        return found
 
     @cached_property
     def moments(self) -> Array:
@@ -126,8 +119,7 @@ class SlidingFit:
             own.solved(normal.sum(axis=0), model.shape, len(SLIDING_PARAMETERS))[0]
             for normal in (other.normal(model.shape, model.coefficient), self.normal)
         )
-        moved: Array = (there - here)[: len(SLIDING_PARAMETERS)]
-        return moved
+        return (there - here)[: len(SLIDING_PARAMETERS)]
 
 
 def learn_sliding(

@@ -272,8 +272,7 @@ def wave(term: Term, angle: Array) -> Array:
     """Return the term's order of an angle (n,), 1 for none."""
     if term.order == 0:
         return np.ones(angle.size)
-    value: Array = (np.sin if term.quarter else np.cos)(term.order * angle)
-    return value
+    return (np.sin if term.quarter else np.cos)(term.order * angle)
 
 
 @dataclass(frozen=True)

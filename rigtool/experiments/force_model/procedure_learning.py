@@ -10,9 +10,10 @@ import numpy as np
 
 from rigtool.experiments.controller_torque import LOOP_CHANNELS as LOOP_CHANNELS
 from rigtool.experiments.controller_torque import LoopSignals, loop_signals, naming
-from rigtool.experiments.force_filter.estimate import Filter, smoothed
+from rigtool.experiments.force_filter.estimate import Filter
 from rigtool.experiments.force_filter.motion_states import CREEP_SPEED_RATIO, Judge, Moments, Reach
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED
+from rigtool.experiments.force_filter.smoothed import smoothed
 from rigtool.experiments.force_model.contacts import Trial, thresholds, trial
 from rigtool.experiments.force_model.deviations import (
     MAX_SCATTER_RATIO,
@@ -98,8 +99,7 @@ def learn_force(
     """Learn from strokes under known loads, moves without one, and the exploration.
 
     `switched` are moves with the learned table switched on, `checks` motions under known loads to
-    which nothing is fitted: they show u.
-    Raises `InsufficientDataError` where they do not carry it.
+    which nothing is fitted: they show u. Raises `InsufficientDataError` where they do not carry it.
     """
     rig = recipe.rig
     warm = float(np.mean([np.mean(recording.read("temperature")) for recording in strokes]))

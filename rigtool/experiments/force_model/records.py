@@ -165,8 +165,7 @@ def lowpassed_rows(signals: Array, interval: float, cutoff_hz: float = LOWPASS_H
     spectrum = np.fft.rfft(signals)[..., : count // 2 + 1]
     frequency = np.fft.rfftfreq(size, interval)[: count // 2 + 1]
     spectrum /= 1 + (frequency / cutoff_hz) ** 4
-    found: Array = np.fft.irfft(spectrum, count) * (count / size)
-    return found
+    return np.fft.irfft(spectrum, count) * (count / size)
 
 
 @dataclass(frozen=True)
@@ -280,8 +279,7 @@ def _within(means: Array, place: Array, apart: float) -> Array:
 def _means(signal: Array, by: int) -> Array:
     """Return means of every `by` samples."""
     size = len(signal) // by
-    means: Array = signal[: size * by].reshape(size, by).mean(axis=1)
-    return means
+    return signal[: size * by].reshape(size, by).mean(axis=1)
 
 
 def bristle_scale(way: float, count: float) -> float:
@@ -318,5 +316,4 @@ def _sliding(
     reach = round(LOW_PASS_SPREAD / interval)
     around = np.pad(~slides, reach, mode="wrap")
     near = np.convolve(around, np.ones(2 * reach + 1), mode="valid")
-    clear: NDArray[np.bool_] = near == 0
-    return clear
+    return near == 0

@@ -60,14 +60,7 @@ BY_REST = Shown(
 )
 BY_TURNS = Shown(
     ("grasper_inertia",),
-    (
-        Kind.INERTIA,
-        Kind.DELAY,
-        Kind.VISCOUS,
-        Kind.BEARING,
-        Kind.HOUSING,
-        Kind.HOUSING_SIDED,
-    ),
+    (Kind.INERTIA, Kind.DELAY, Kind.VISCOUS, Kind.BEARING, Kind.HOUSING, Kind.HOUSING_SIDED),
 )
 """What rest and reversals determine, and what the turns of fast strokes determine."""
 

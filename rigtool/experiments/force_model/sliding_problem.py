@@ -79,8 +79,7 @@ class _Stroke:
 
     def with_noise(self, variance: float) -> Array:
         """Return v S^-1 + X'X of the module (k, k) for a variance of white noise."""
-        found: Array = np.diag(variance / self.variances) + self.squares
-        return found
+        return np.diag(variance / self.variances) + self.squares
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,8 +169,7 @@ class Problem:
         """Return the derivatives by the shape's logarithms at used rows."""
         at, record = self._at(number, shape), self.records[number]
         predicted = Prediction(self.terms, coefficient, at.values, shape, at.state)
-        found: Array = record.rows(slopes(predicted, at.state))[:, record.used]
-        return found
+        return record.rows(slopes(predicted, at.state))[:, record.used]
 
     def sums(self, number: int, shape: Shape, coefficient: Array | None) -> Array:
         """Return the record's normal matrix, right-hand side last, weighted.
@@ -310,8 +308,7 @@ def _strokes(record: Record, length: float) -> NDArray[np.intp]:
             start = change - (len(step) - 1 - against[-1])
         begins.append(start)
     place = np.arange(record.count) * (z.size / record.count)
-    found: NDArray[np.intp] = np.searchsorted(begins, place, side="right")
-    return found
+    return np.searchsorted(begins, place, side="right")
 
 
 def logarithms(shape: Shape) -> Array:

@@ -181,8 +181,7 @@ class Stepper:
         count = max(0, (held.shape[1] - 1) // self._size)
         self._held = held[:, count * self._size :].copy()
         end, size = count * self._size, self._size
-        found: Array = (held[:, size - 1 : end : size] + held[:, size : end + 1 : size]) / 2
-        return found
+        return (held[:, size - 1 : end : size] + held[:, size : end + 1 : size]) / 2
 
 
 def unbroken(steps: Array, good: NDArray[np.bool_], interval: float) -> list[slice]:

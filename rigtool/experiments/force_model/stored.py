@@ -102,9 +102,7 @@ def model_tables(model: ForceModel) -> dict[str, Table]:
             {
                 "term": Column(np.arange(len(learned.terms)), "1"),
                 **{
-                    name: Column(
-                        np.array([float(getattr(term, name)) for term in learned.terms]), "1", about
-                    )
+                    name: Column([float(getattr(term, name)) for term in learned.terms], "1", about)
                     for name, about in _ABOUT.items()
                 },
                 "coefficient": Column(learned.coefficient, "1", "N m for each SI unit of the term"),

@@ -59,8 +59,7 @@ def learned_ripple(model: ForceModel) -> LearnedRipple:
 
     def squares(one: Array, other: Array) -> Array:
         found = (one @ learned.coefficient) * (other @ learned.coefficient)
-        total: Array = found.reshape(-1, 2).sum(axis=1)
-        return total
+        return found.reshape(-1, 2).sum(axis=1)
 
     still = waves(Kind.RIPPLE, Kind.COGGING)
     gain, bent = waves(Kind.GAIN_RIPPLE), waves(Kind.SQUARE_RIPPLE)

@@ -232,13 +232,11 @@ class _Search:
     def learned_at(self, moved: float) -> Mask:
         """Return which cells (cells,) are learned ones with another zero, too."""
         angle = self._angle - moved
-        found: Mask = (angle >= self._angle[0]) & (angle <= self._angle[-1])
-        return found
+        return (angle >= self._angle[0]) & (angle <= self._angle[-1])
 
     def mean(self, moved: float) -> Array:
         """Return the torque that another zero makes of the learned friction, (cells,), N m."""
-        found: Array = self._friction(moved) @ self._learned[: len(self._terms[0])]
-        return found
+        return self._friction(moved) @ self._learned[: len(self._terms[0])]
 
     def likelihood(self, moved: float) -> tuple[float, Array]:
         """Return the likelihood's logarithm, and the probability that nothing touches (n,), of the
@@ -280,8 +278,7 @@ class _Search:
 
         def probability(error: Array, variance: Array | float) -> Array:
             exponent = error**2 / 2 * (1 / variance - 1 / w**2) + np.log(variance / w**2) / 2
-            found: Array = 1 / (1 + np.exp(np.clip(prior + exponent, -30, 30)))
-            return found
+            return 1 / (1 + np.exp(np.clip(prior + exponent, -30, 30)))
 
         if found is None:
             found = probability(left, np.sum(design**2, axis=1) + s**2)
@@ -314,8 +311,7 @@ def _lagged_wave(term: Term, angle: Array, lag: Array) -> Array:
     the angle that passes in its time constant."""
     later, quarter = term.order * lag, replace(term, quarter=1 - term.quarter)
     turned = wave(quarter, angle) * (-1.0 if term.quarter else 1.0)
-    found: Array = (wave(term, angle) + later * turned) / (1 + later**2)
-    return found
+    return (wave(term, angle) + later * turned) / (1 + later**2)
 
 
 def _other_phases(
@@ -334,5 +330,4 @@ def _root(covariance: Array, least: float) -> Array:
     """Return a matrix S of which S S' is a covariance, but for deviations below the least one."""
     values, vectors = np.linalg.eigh(covariance)
     large = values > least**2
-    found: Array = vectors[:, large] * np.sqrt(values[large])
-    return found
+    return vectors[:, large] * np.sqrt(values[large])

@@ -48,8 +48,7 @@ def counted(lasts: float, one: float, other: float) -> tuple[float, float]:
 @compiled
 def normal(error: float, variance: float) -> float:
     """Return the logarithm of a normal's likelihood, but for a constant."""
-    likely: float = -0.5 * (error**2 / variance + math.log(variance))
-    return likely
+    return -0.5 * (error**2 / variance + math.log(variance))
 
 
 @compiled

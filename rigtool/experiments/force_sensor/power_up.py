@@ -121,8 +121,7 @@ class PowerUp:
     @property
     def probability(self) -> float:
         """That the power-up is another than that of the learning."""
-        other: float = self._state["weights"][0, 1]
-        return other
+        return self._state["weights"][0, 1]
 
     @property
     def steps_ahead(self) -> int:

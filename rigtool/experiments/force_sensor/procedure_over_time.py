@@ -18,10 +18,7 @@ from rigtool.experiments.force_filter.motion_states import CREEP_SPEED_RATIO, Re
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.stored import model_from
 from rigtool.experiments.force_sensor.encoder_zero import EncoderZero, encoder_zero
-from rigtool.experiments.force_sensor.procedure_calibration import (
-    require_calibration,
-    with_zero_of,
-)
+from rigtool.experiments.force_sensor.procedure_calibration import require_calibration, with_zero_of
 from rigtool.experiments.force_sensor.procedure_instrument import (
     largest_friction,
     of_this_instrument,
@@ -124,8 +121,7 @@ def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: R
     if not recorded:
         raise RunFileError(
             f"{run.path}: has no recording with the channels {', '.join(NEEDED_CHANNELS)}: record "
-            "one with "
-            "--record or --observe"
+            "one with --record or --observe"
         )
     model, reach = model_and_reach(tables, kt, recipe)
     read = [read_recording(r, recipe, kt, model, reach) for r in recorded if r.size]

@@ -9,12 +9,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.force_filter.estimate import (
-    PIECE_STEPS,
-)
-from rigtool.experiments.force_filter.motion_states import (
-    Reach,
-)
+from rigtool.experiments.force_filter.estimate import PIECE_STEPS
+from rigtool.experiments.force_filter.motion_states import Reach
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.steps import unbroken
 from rigtool.experiments.force_sensor.results_over_time import TorqueRows

@@ -18,11 +18,7 @@ from rigtool.experiments.force_filter.accuracy import (
     accuracy,
     by_band_and_state,
 )
-from rigtool.experiments.force_filter.motion_states import (
-    STATE_NAMES,
-    State,
-    States,
-)
+from rigtool.experiments.force_filter.motion_states import STATE_NAMES, State, States
 from rigtool.experiments.force_model.contacts import Contact
 from rigtool.experiments.force_sensor.response import Spectra, amplitude_bandwidth
 from rigtool.experiments.force_sensor.signal_faults import SignalFault
@@ -70,14 +66,12 @@ class TorqueRows:
     @property
     def hidden(self) -> Mask:
         """Where there is a dead band instead of an estimate (m,)."""
-        found: Mask = self.dead_bands & np.isin(self.states, (State.REVERSED, State.STILL))
-        return found
+        return self.dead_bands & np.isin(self.states, (State.REVERSED, State.STILL))
 
     @property
     def half(self) -> Array:
         """Half of the 95 % interval, or of the dead band (m,), N m."""
-        half: Array = np.where(self.hidden, math.sqrt(3), COVERAGE_FACTOR) * self.u
-        return half
+        return np.where(self.hidden, math.sqrt(3), COVERAGE_FACTOR) * self.u
 
     def widened(self, by: float, share: float) -> TorqueRows:
         """Return the reading with another uncertainty, N m, and a share of the torque, besides."""
@@ -107,15 +101,7 @@ def steps_of_a_row(step_time: float, corner_hz: float) -> int:
     return max(1, int((1 / step_time) / (ROWS_PER_PERIOD * corner_hz) * (1 + 1e-6)))
 
 
-FORCE_SIGNALS = (
-    "time",
-    "torque",
-    "u",
-    "states",
-    "causal",
-    "causal_u",
-    "causal_states",
-)
+FORCE_SIGNALS = ("time", "torque", "u", "states", "causal", "causal_u", "causal_states")
 
 
 def over_time_tables(
@@ -227,9 +213,7 @@ def _judged(rows: TorqueRows, largest: float) -> tuple[dict[str, Quantity], Tabl
         "band": Column(
             np.array(LOAD_BAND_EDGES[:-1]) * largest, "N m", "lower end of the load's band"
         ),
-        "state": Column(
-            np.array([int(state) for state in JUDGED_STATES]), "1", "as in table force"
-        ),
+        "state": Column([int(state) for state in JUDGED_STATES], "1", "as in table force"),
     }
     for prefix, torque, reference, half, states in (
         ("", rows.torque, rows.reference, rows.half, rows.states),

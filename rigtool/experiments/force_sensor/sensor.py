@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.creeping import Creeping
-from rigtool.experiments.force_filter.estimate import Again, Estimate, Filter, Signals
+from rigtool.experiments.force_filter.estimate import Estimate, Filter, Signals
 from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_filter.motion_states import (
     KIND_COUNT,
@@ -28,6 +28,7 @@ from rigtool.experiments.force_filter.motion_states import (
     States,
 )
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED
+from rigtool.experiments.force_filter.smoothed import Again
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.intervals import uncertainty_of_kinds
 from rigtool.experiments.force_model.steps import CONTEXT_SAMPLES, FilterSteps, Sampler, Stepper
@@ -79,8 +80,7 @@ class SensorProperties:
         widths[1:, State.STILL] = rests
         widths[1:, State.REVERSED] = min(slope * self.count / 2, rests)
         widths[2, State.REVERSED] = max(widths[1, State.REVERSED], rests / 2)
-        open_: Array = (plant.torque_factor * widths) ** 2 / 3
-        return open_
+        return (plant.torque_factor * widths) ** 2 / 3
 
     @cached_property
     def creeping_torque(self) -> float:
@@ -93,13 +93,11 @@ class SensorProperties:
         rectangle as wide as the friction that bristles lack which are `unbent` (m,) while the rotor
         creeps (`creeping`)."""
         lacking = (self.creeping_torque * unbent) ** 2 / 3
-        least: Array = np.maximum(self.open_variances[idling, kinds], lacking)
-        return least
+        return np.maximum(self.open_variances[idling, kinds], lacking)
 
     def limited(self, current: Array) -> NDArray[np.bool_]:
         """Return where a current (n,) A is at its limit."""
-        found: NDArray[np.bool_] = np.abs(current) >= AT_THE_LIMIT * self.current_limit
-        return found
+        return np.abs(current) >= AT_THE_LIMIT * self.current_limit
 
     def filter(self, uncertainty: Uncertainty) -> Filter:
         """Return the filter for samples that begin without a gap."""

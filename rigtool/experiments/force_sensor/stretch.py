@@ -16,26 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.force_filter.estimate import (
-    ONSET_TIME,
-    PIECE_STEPS,
-    Filter,
-    Smoother,
-    without_delay,
-)
+from rigtool.experiments.force_filter.estimate import PIECE_STEPS, Filter
 from rigtool.experiments.force_filter.highest import highest
-from rigtool.experiments.force_filter.motion_states import (
-    LARGEST_LEARNED_RATIO,
-    Moments,
-    State,
-)
+from rigtool.experiments.force_filter.motion_states import LARGEST_LEARNED_RATIO, Moments, State
+from rigtool.experiments.force_filter.smoothed import ONSET_TIME, Smoother, without_delay
 from rigtool.experiments.force_model.contacts import Contact, contacts, trial
 from rigtool.experiments.force_model.intervals import uncertainty_of_kinds
 from rigtool.experiments.force_sensor.response import Spectra
-from rigtool.experiments.force_sensor.results_over_time import (
-    TorqueRows,
-    steps_of_a_row,
-)
+from rigtool.experiments.force_sensor.results_over_time import TorqueRows, steps_of_a_row
 from rigtool.experiments.force_sensor.sensor import Sensed, Sensor, SensorProperties
 from rigtool.experiments.force_sensor.signal_faults import SignalWatch
 from rigtool.experiments.force_sensor.unknown_friction import Passes

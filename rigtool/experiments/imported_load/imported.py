@@ -48,8 +48,7 @@ def analyse_imported(
         if not recording.has(REFERENCE_CHANNEL):
             raise RunFileError(
                 f"{place(recording)}: has no channel {REFERENCE_CHANNEL}, so it does not show the "
-                "load: "
-                "learn from runs with a sensor at the load, imported with that channel mapped"
+                "load: learn from runs with a sensor at the load, imported with that channel mapped"
             )
     signals = read_all(runs, kt, bandwidth_hz)
     unit = signals[0].effort_unit

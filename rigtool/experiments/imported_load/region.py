@@ -97,10 +97,7 @@ def beside_known_strokes(known: Mask, counted: Mask, direction: Array) -> Mask:
 def _beside(rows: Mask, direction: Array) -> NDArray[np.intp]:
     """Return for each row (n,) how many `rows` are in its stroke and in those next to it."""
     stroke = strokes_of(direction)
-    found: NDArray[np.intp] = np.convolve(np.bincount(stroke, rows), np.ones(3, int), "same")[
-        stroke
-    ]
-    return found
+    return np.convolve(np.bincount(stroke, rows), np.ones(3, int), "same")[stroke]
 
 
 def strokes_of(direction: Array) -> NDArray[np.intp]:

@@ -58,7 +58,7 @@ def _table(index: str, main: str, about: str, /, **columns: tuple[Any, ...]) -> 
     """Return a table of columns: values, unit, description."""
     return Table(
         tuple(index.split()),
-        {name: Column(np.asarray(values), *what) for name, (values, *what) in columns.items()},
+        {name: Column(values, *what) for name, (values, *what) in columns.items()},
         main,
         about,
     )

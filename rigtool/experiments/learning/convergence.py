@@ -72,10 +72,7 @@ class Cycles:
 
 
 def learning_run(
-    found: Sequence[Cycles],
-    learning: Learning,
-    updates: int,
-    shown: Sequence[Array] | None = None,
+    found: Sequence[Cycles], learning: Learning, updates: int, shown: Sequence[Array] | None = None
 ) -> LearningRun:
     """Judge one run: the cycles of all its speeds, after so many `updates`.
 

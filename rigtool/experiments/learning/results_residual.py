@@ -33,7 +33,7 @@ class Remaining:
 
     def tables(self) -> dict[str, Table]:
         """Return numbers by speed, and the waveforms behind them."""
-        speed = Column(np.array([row.speed for row in self.after]), "rad/s", "of the motor shaft")
+        speed = Column([row.speed for row in self.after], "rad/s", "of the motor shaft")
         return {
             "residual_by_speed": Table(
                 ("speed",),
@@ -52,11 +52,11 @@ class Remaining:
                     "speed": speed,
                     "position": Column(self.position, "rad", "set point of the motor shaft"),
                     "before": Column(
-                        np.stack([row.mean for row in self.before]), "N m", "controller, no table"
+                        [row.mean for row in self.before], "N m", "controller, no table"
                     ),
                     "table": Column(self.applied, "N m", "torque added by the table"),
                     "residual": Column(
-                        np.stack([row.mean for row in self.after]), "N m", "controller, with table"
+                        [row.mean for row in self.after], "N m", "controller, with table"
                     ),
                 },
                 "residual",
@@ -79,8 +79,7 @@ class Remaining:
             "non_repeatable_rms": "scatter of a single move: no table can remove it",
         }
         return {
-            name: Column(np.array(values), "N m", described.get(name, ""))
-            for name, values in numbers.items()
+            name: Column(values, "N m", described.get(name, "")) for name, values in numbers.items()
         }
 
     def notes(

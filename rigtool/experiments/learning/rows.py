@@ -60,11 +60,7 @@ class Row:
 
 
 def learned_rows(
-    moves: Moves,
-    speed: float,
-    learning: Learning,
-    position: Array,
-    before: Array | float = 0.0,
+    moves: Moves, speed: float, learning: Learning, position: Array, before: Array | float = 0.0
 ) -> list[Row]:
     """Return the feed-forward torque that one update learns at positions (p,), falling part first.
 

@@ -161,12 +161,7 @@ def written_out(position: Array, learned: Row, tuning: Tuning) -> tuple[LookupTa
     torque = np.fft.irfft(whole * position.size, position.size)
     lowest = float(np.abs(speeds).min())
     table = LookupTable(
-        position,
-        speeds,
-        torque,
-        np.array([0.0, lowest]),
-        np.array([0.0, 1.0]),
-        period=2 * math.pi,
+        position, speeds, torque, np.array([0.0, lowest]), np.array([0.0, 1.0]), period=2 * math.pi
     )
     return table, amplitude[:, None] * np.broadcast_to(learned.u, torque.shape)
 

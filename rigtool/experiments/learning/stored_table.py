@@ -17,10 +17,9 @@ from rigtool.recipe import Recipe
 from rigtool.rigs import Feedforward
 from rigtool.runfile import Column, Run, Table, dof_column
 
-PERIOD_RESULT = "lookup_period"
-LEARNING_CUTOFF = "learning_cutoff"
-"""Result that states the angle after which a periodic table repeats, rad."""
-
+PERIOD_RESULT, LEARNING_CUTOFF = "lookup_period", "learning_cutoff"
+"""Results: the angle after which a periodic table repeats, rad; the cut-off of Q, Hz, where the
+recipe does not state it."""
 
 TRAJECTORY_TABLE = "trajectory"
 """Table that a run has instead of a learned table, where it was learned by time."""

@@ -84,11 +84,7 @@ def torque_row(turns: Moves, speed: float, learning: Learning, positions: int) -
 
 
 def learned_row(
-    turns: Moves,
-    speed: float,
-    learning: Learning,
-    positions: int,
-    before: Array | float = 0.0,
+    turns: Moves, speed: float, learning: Learning, positions: int, before: Array | float = 0.0
 ) -> Row:
     """Return the feed-forward torque by angle that one update learns, N m; `speed` with its sign.
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rigtool.errors import InsufficientDataError, RecipeError, RunFileError
+from rigtool.errors import InsufficientDataError, RecipeError
 from rigtool.experiments.controller_torque import naming, require_unlimited, usual_current
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.plant.angle_torque import without_angle_torque
@@ -56,12 +56,7 @@ EDGE_STEPS = 2
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
     """One recording for each speed and set of phases; both directions are in it."""
     recorded = channels(
-        "time",
-        "current_setpoint",
-        "signal_current",
-        "position_setpoint",
-        "encoder",
-        "temperature",
+        "time", "current_setpoint", "signal_current", "position_setpoint", "encoder", "temperature"
     )
     period = period_samples(recipe) * recipe.rig.sample_time
     return tuple(
@@ -100,12 +95,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run | None = None) -> Ou
 
     Raises `RunFileError` for runs without its recordings.
     """
-    found = [recording for run in runs for recording in run.recordings_named("multisine_")]
-    if not found:
-        raise RunFileError(
-            f"{runs[0].path}: has no recording multisine_000: give the run file in which "
-            "identify-plant recorded its signals"
-        )
+    found = [recording for run in runs for recording in run.recordings_of("multisine")]
     lines, sample_time = excited_lines(recipe), recipe.rig.sample_time
     experiments: list[Experiment] = []
     constants: list[Quantity | None] = []

@@ -77,18 +77,14 @@ class IdentifiedPlant:
         spread = scatter**4 / dof + scale**4 * common
         # Far above a slow current loop's corner nothing is left, and nothing is uncertain.
         known = np.divide(u**4, spread, out=np.full(u.shape, np.inf), where=spread > 0)
-        return {
-            "u": Column(u, RESPONSE_UNIT, f"standard, {what}"),
-            "dof": dof_column(known),
-        }
+        return {"u": Column(u, RESPONSE_UNIT, f"standard, {what}"), "dof": dof_column(known)}
 
 
 def _scaled(fit: PlantFit, factor: float) -> PlantFit:
     """Return the fit with all torques scaled by a factor."""
     model = fit.model
     return replace(
-        fit,
-        model=replace(model, inertia=factor * model.inertia, viscous=factor * model.viscous),
+        fit, model=replace(model, inertia=factor * model.inertia, viscous=factor * model.viscous)
     )
 
 

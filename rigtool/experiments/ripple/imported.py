@@ -26,12 +26,7 @@ from rigtool.experiments.ripple.imported_groups import (
 )
 from rigtool.experiments.ripple.imported_maps import compare_maps
 from rigtool.experiments.ripple.imported_turns import Turns, reduction
-from rigtool.experiments.ripple.orders import (
-    HIGHEST_ORDER,
-    cell_centres,
-    remove_offset,
-    spectrum,
-)
+from rigtool.experiments.ripple.orders import HIGHEST_ORDER, cell_centres, remove_offset, spectrum
 from rigtool.experiments.torque_per_ampere import Effort
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Recording, Run, Table, dof_column
@@ -267,7 +262,7 @@ def _spectrum_table(groups: Sequence[RepeatedRuns], unit: str) -> Table:
             getattr(group.spectra[quantity], name) * (group.moved or quantity == "torque" or np.nan)
             for group in groups
         ]
-        return Column(np.stack(values), of, what)
+        return Column(values, of, what)
 
     floor = "amplitude that scatter alone would show"
     return Table(
@@ -278,10 +273,10 @@ def _spectrum_table(groups: Sequence[RepeatedRuns], unit: str) -> Table:
             "amplitude": column("torque", "amplitude", unit, "of torque or current"),
             "phase": column("torque", "phase", "rad", "amplitude*cos(order*angle + phase)"),
             "noise_floor": column("torque", "noise_floor", unit, floor),
-            "u": Column(np.stack([group.u for group in groups]), unit, "standard, of amplitude"),
-            "dof": dof_column(np.stack([group.dof for group in groups])),
+            "u": Column([group.u for group in groups], unit, "standard, of amplitude"),
+            "dof": dof_column([group.dof for group in groups]),
             "alias": Column(
-                np.stack([group.alias[: len(first.order)] for group in groups]),
+                [group.alias[: len(first.order)] for group in groups],
                 "1",
                 "higher order that the samples do not separate, if any",
             ),
@@ -305,8 +300,8 @@ def _waveform_table(groups: Sequence[RepeatedRuns], unit: str) -> Table:
         {
             **_group_columns(groups),
             "position": Column(cell_centres(groups[0].torque.shape[1]), "rad", "of the rotor"),
-            "ripple": Column(np.stack(torque), unit, "torque or current, offset included"),
-            "deviation": Column(np.stack(deviation), "rad", "of angle from steady motion"),
+            "ripple": Column(torque, unit, "torque or current, offset included"),
+            "deviation": Column(deviation, "rad", "of angle from steady motion"),
         },
         "ripple",
         "mean over the turns of each condition",
@@ -317,14 +312,14 @@ def _group_columns(groups: Sequence[RepeatedRuns]) -> dict[str, Column]:
     names = dict.fromkeys(name for group in groups for name in group.conditions)
     taken = ("group", "order", "position", "speed", "turns", "amplitude", "phase", "ripple")
     varied = {
-        name: Column(np.array([group.conditions.get(name, np.nan) for group in groups]), "1")
+        name: Column([group.conditions.get(name, np.nan) for group in groups], "1")
         for name in names
         if name not in taken
     }
     return {
         "group": Column(np.arange(len(groups)), "1"),
-        "speed": Column(np.array([group.speed for group in groups]), "rad/s", "mean"),
-        "turns": Column(np.array([group.turns for group in groups]), "1", "averaged"),
+        "speed": Column([group.speed for group in groups], "rad/s", "mean"),
+        "turns": Column([group.turns for group in groups], "1", "averaged"),
         **varied,
     }
 
@@ -338,7 +333,7 @@ def _reduction_table(pairs: Sequence[tuple[RepeatedRuns, RepeatedRuns, str]], or
         found = [reduction(low.spectra[quantity], high.spectra[quantity]) for low, high, _ in pairs]
         of = "motion" if quantity == "deviation" else "torque or current"
         columns[name] = Column(
-            np.stack([values for values, _ in found]), "1", f"1 - ratio of amplitudes, {of}"
+            [values for values, _ in found], "1", f"1 - ratio of amplitudes, {of}"
         )
-        columns[f"{name}_u"] = Column(np.stack([u for _, u in found]), "1")
+        columns[f"{name}_u"] = Column([u for _, u in found], "1")
     return Table(("pair", "order"), columns, "reduction", "ripple with against without")

@@ -120,7 +120,7 @@ def _results(names: Sequence[str], matches: Sequence[Match], reference: int) -> 
 
 def _table(matches: Sequence[Match]) -> Table:
     def column(name: str, unit: str, what: str) -> Column:
-        return Column(np.array([getattr(match, name) for match in matches]), unit, what)
+        return Column([getattr(match, name) for match in matches], unit, what)
 
     return Table(
         ("map",),

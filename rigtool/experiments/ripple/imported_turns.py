@@ -28,11 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.ripple.orders import (
-    HIGHEST_ORDER,
-    Spectrum,
-    cell_centres,
-)
+from rigtool.experiments.ripple.orders import HIGHEST_ORDER, Spectrum, cell_centres
 from rigtool.experiments.ripple.revolutions import Revolutions
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, require_signals
@@ -110,8 +106,7 @@ def find_turns(time: Array, turns: Array, torque: Array, positions: int) -> Turn
     if cells.rows < 1:
         raise InsufficientDataError(
             f"the shaft passes {max(cells.way, 0.0):.2f} of a turn steadily, {MIN_COVERED_PART} "
-            "are needed: "
-            "record for longer"
+            "are needed: record for longer"
         )
     rows = [cells.waveforms(time, values) for values in both]
     covered = np.mean(np.isfinite(rows[0]), axis=1) >= MIN_COVERED_PART

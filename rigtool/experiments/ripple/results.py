@@ -169,10 +169,7 @@ def _spectrum(ripple: Ripple, recipe: Recipe, turns_per_s: float) -> tuple[Spect
         floor = total
     known = np.where(np.isfinite(asked.amplitude / gain), 1.0, np.nan)
     motor = replace(
-        asked,
-        amplitude=known * np.abs(found),
-        phase=known * np.angle(found),
-        noise_floor=floor,
+        asked, amplitude=known * np.abs(found), phase=known * np.angle(found), noise_floor=floor
     )
     by_loop = INERTIA_U * np.hypot(np.abs((1 - loop) * found), np.abs(found - alone))
     return motor, dof, by_loop
@@ -238,7 +235,7 @@ def condition_tables(
 
     `constants` are the torque per ampere by the name of a recording.
     """
-    varied = {axis: Column(np.array([r.condition(axis) for r in recordings]), unit)}
+    varied = {axis: Column([r.condition(axis) for r in recordings], unit)}
     # Where the constant torque is the axis, its ripple needs another name.
     signal = "ripple" if axis == "torque" else "torque"
     turns = [recording.condition("speed") / (2 * math.pi) for recording in recordings]
@@ -259,7 +256,7 @@ def condition_tables(
         {
             **varied,
             "position": Column(ripples[0].angle, "rad", "of the rotor"),
-            signal: Column(np.stack([ripple.mean for ripple in ripples]), "N m"),
+            signal: Column([ripple.mean for ripple in ripples], "N m"),
         },
         signal,
         "repeatable ripple of the motor torque by rotor position, offset removed",
@@ -269,20 +266,20 @@ def condition_tables(
         {
             **varied,
             "order": Column(spectra[0].order, "1", "cycles a turn"),
-            "amplitude": Column(np.stack([s.amplitude for s in spectra]), "N m"),
+            "amplitude": Column([s.amplitude for s in spectra], "N m"),
             "phase": Column(
-                np.stack([s.phase for s in spectra]), "rad", "amplitude*cos(order*angle + phase)"
+                [s.phase for s in spectra], "rad", "amplitude*cos(order*angle + phase)"
             ),
             "noise_floor": Column(
-                np.stack([s.noise_floor for s in spectra]),
+                [s.noise_floor for s in spectra],
                 "N m",
                 "amplitude that scatter between revolutions, of few with the orders around, and "
                 "the encoder's steps would show alone",
             ),
-            "u": Column(np.stack(u), "N m", "standard, of the amplitude: noise floor, constant, T"),
-            "dof": dof_column(np.stack(dof)),
+            "u": Column(u, "N m", "standard, of the amplitude: noise floor, constant, T"),
+            "dof": dof_column(dof),
             "loop_gain": Column(
-                np.stack([np.abs(_loop(recipe, spectra[0].order * n)) for n in turns]),
+                [np.abs(_loop(recipe, spectra[0].order * n)) for n in turns],
                 "1",
                 "|T| by the recipe's controller and inertia: asked for over amplitude",
             ),
@@ -313,7 +310,7 @@ def comparison_table(comparisons: Sequence[RippleComparison]) -> Table:
     """Return how each power-up's ripple differs from the first one's."""
 
     def column(name: str, unit: str, what: str) -> Column:
-        return Column(np.array([getattr(found, name) for found in comparisons]), unit, what)
+        return Column([getattr(found, name) for found in comparisons], unit, what)
 
     return Table(
         ("power_cycle",),

@@ -173,10 +173,10 @@ def _torque_table(springs: MotorSuspension, stiffness: float, speeds: Sequence[f
     return Table(
         ("speed", "angle"),
         {
-            "speed": Column(np.array(speeds), "rad/s", "of the pulleys"),
+            "speed": Column(speeds, "rad/s", "of the pulleys"),
             "angle": Column(angle, "rad", "of the pulleys"),
-            "spring": Column(np.stack([t[0] for t in torques]), "N m", "of the leaf springs"),
-            "inertia": Column(np.stack([t[1] for t in torques]), "N m", "of the moving mass"),
+            "spring": Column([t[0] for t in torques], "N m", "of the leaf springs"),
+            "inertia": Column([t[1] for t in torques], "N m", "of the moving mass"),
         },
         "inertia",
         "Torque of eccentric pulleys",

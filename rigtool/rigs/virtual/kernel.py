@@ -156,8 +156,7 @@ def run(
     `pieces` (k, 9) describe the set point (`motion.Path`): in closed loop the position [rad] from
     `origin`, in open loop the current [A]; sample `first` of the motion comes first. In closed loop
     the torques [N m] of `model`, `table` (`Feedforward.coefficients`, `LookupTable.grid`; no rows:
-    none) and `signal` (m,), which repeats, are added. `out` (n // record_every, 10) receives
-    means.
+    none) and `signal` (m,), which repeats, are added. `out` (n // record_every, 10) receives means.
     `touch` (n, 4) holds the contacts at each sample, `tissues` (k, 5) those that the output runs
     into. Without `touch` (None) there are no contacts, and they are not part of the compiled step.
     """
@@ -321,16 +320,7 @@ def run(
             speed += dt * yielding * torque
         else:
             speed, outside, _ = touched(
-                p,
-                touch[k],
-                tissues,
-                time,
-                angle,
-                speed,
-                1.0,
-                torque,
-                p.load_torque,
-                1.0 / yielding,
+                p, touch[k], tissues, time, angle, speed, 1.0, torque, p.load_torque, 1.0 / yielding
             )
             outside_sum += outside
         angle += dt * speed

@@ -39,7 +39,7 @@ from rigtool.runfile.importers.plan import is_binary, plan
 from rigtool.runfile.importers.raw import Array, Importer, Raw
 from rigtool.runfile.importers.text import read_text
 from rigtool.runfile.model import Channel, RecordingSpec
-from rigtool.runfile.outputs import own_folder, require_output
+from rigtool.runfile.outputs import own_folder, require_output, require_place
 from rigtool.runfile.provenance import Source, file_sha256
 from rigtool.runfile.writer import RunWriter
 from rigtool.signals import SIGNALS
@@ -173,6 +173,7 @@ def _new_folders() -> Iterator[Callable[[Path], None]]:
     def make(folder: Path) -> None:
         if not folder.exists():
             make(folder.parent)
+            require_place(folder, Path(os.path.abspath(folder)))
             folder.mkdir()
             made.append(folder)
 

@@ -192,6 +192,8 @@ def missing_column(
     """Return the error for a column that a file does not have."""
     named = [str(name) for name in there if isinstance(name, str)]
     known = f"{count} columns" if not named else ", ".join(named[:30])
+    if "" in there:  # of a .npy file
+        known = "an array without a name, whose columns go by their number from 1"
     return RunFileError(
         f"{path}: has no column {column!r}, only {known}: correct the mapping, or take a file that "
         "has it"

@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import butter, sosfilt, sosfiltfilt
 
 from rigtool.experiments.force_filter import estimate
-from rigtool.experiments.force_filter.estimate import Again, Filter, Signals, smoothed
+from rigtool.experiments.force_filter.estimate import Filter, Signals
 from rigtool.experiments.force_filter.plant import (
     ANGLE,
     BRISTLE,
@@ -22,11 +22,13 @@ from rigtool.experiments.force_filter.plant import (
     advance,
     as_record,
 )
+from rigtool.experiments.force_filter.smoothed import Again, smoothed
 from tests.experiments.force_filter.plants import PLANT, UNCERTAINTY
 
 WIDTH = 2 * np.pi / 4000
 STEP = 8
 BAND = 10.0
+SMOOTHED = "rigtool.experiments.force_filter.smoothed"
 SECTIONS = butter(2, BAND, fs=1 / (STEP * PLANT.sample_time), output="sos")
 
 
@@ -186,7 +188,7 @@ def test_smoothing_is_better_and_does_not_depend_on_its_pieces(recording, monkey
     later, at_once = ((found - truth)[used] for found in (torque, causal.torque))
     assert np.mean(later**2) < 0.4 * np.mean(at_once**2)
     assert np.mean(deviation) < np.mean(causal.deviation)
-    monkeypatch.setattr(estimate, "PIECE_STEPS", 777)
+    monkeypatch.setattr(f"{SMOOTHED}.PIECE_STEPS", 777)
     again, same = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
     np.testing.assert_allclose(again, torque, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(same, deviation, rtol=1e-9)
@@ -197,7 +199,7 @@ def test_a_load_that_comes_at_rest_is_not_spread_over_the_rest_before_it(recordi
     time = np.arange(len(truth)) * STEP * PLANT.sample_time
     before = (time > 6.8) & (time < 7.2)  # at rest; the load comes at 7.2 s, and 30 ms later shows
     torque, _ = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
-    monkeypatch.setattr(estimate, "ONSET_TIME", 0.0)
+    monkeypatch.setattr(f"{SMOOTHED}.ONSET_TIME", 0.0)
     spread, _ = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
     error, without = (np.sqrt(np.mean((t - truth)[before] ** 2)) for t in (torque, spread))
     assert error < 0.7 * without
@@ -226,9 +228,9 @@ def test_a_count_shows_what_it_shows_once():
 def test_what_comes_long_afterwards_does_not_matter(recording, monkeypatch):
     signals, _, _ = recording
     torque, deviation = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
-    monkeypatch.setattr(estimate, "PIECE_STEPS", 500)
-    monkeypatch.setattr(estimate, "BLOCK", 2.0)
-    monkeypatch.setattr(estimate, "AHEAD", 7.0)  # more than a cycle of this motion
+    monkeypatch.setattr(f"{SMOOTHED}.PIECE_STEPS", 500)
+    monkeypatch.setattr(f"{SMOOTHED}.BLOCK", 2.0)
+    monkeypatch.setattr(f"{SMOOTHED}.AHEAD", 7.0)  # more than a cycle of this motion
     again, same = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
     assert np.abs((again - torque) / deviation).max() < 1e-2
     np.testing.assert_allclose(same, deviation, rtol=1e-3)
@@ -248,7 +250,7 @@ def test_without_motion_the_friction_of_an_unknown_history_stays_in_the_uncertai
 
 def test_what_is_subtracted_is_as_a_drive_that_has_less(recording):
     """In both filters, whatever the blocks are."""
-    signals = estimate._part(recording[0], 0, 2000 * STEP + 1)
+    signals = recording[0].part(0, 2000 * STEP + 1)
     less = 2e-3 * np.sin(np.arange(2000) / 50)
     drive = signals.drive_torque.copy()
     drive[:-1] -= np.repeat(less, STEP)
@@ -257,7 +259,7 @@ def test_what_is_subtracted_is_as_a_drive_that_has_less(recording):
         causal = Filter(PLANT, UNCERTAINTY, STEP, BAND)
         again = Again(PLANT, UNCERTAINTY, STEP, BAND)
         for first, last in ((0, 700), (700, 2000)):
-            part = estimate._part(own, STEP * first + (first > 0), STEP * last + 1)
+            part = own.part(STEP * first + (first > 0), STEP * last + 1)
             taken = None if subtracted is None else subtracted[first:last]
             passed = causal.add(part, less=taken)
             assert passed.idle.dtype == bool

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigtool.experiments.force_filter import estimate, kalman, passed
+from rigtool.experiments.force_filter import estimate, kalman, passed, smoothed
 from rigtool.experiments.force_filter.accuracy import LOAD_BAND_EDGES, accuracy, by_band_and_state
-from rigtool.experiments.force_filter.estimate import Again, Estimate, Signals, Smoother
+from rigtool.experiments.force_filter.estimate import Estimate, Signals
 from rigtool.experiments.force_filter.motion_states import (
     CREEPING_KIND,
     Judge,
@@ -33,6 +33,7 @@ from rigtool.experiments.force_filter.plant import (
     TIP,
     TORQUE,
 )
+from rigtool.experiments.force_filter.smoothed import Again, Smoother
 from tests.experiments.force_filter.plants import PLANT, UNCERTAINTY
 
 COUNT, STEP = 1e-3, 10e-3
@@ -183,7 +184,7 @@ def test_rests_with_and_without_another_torque_are_among_the_draws():
 @pytest.fixture
 def pieces(monkeypatch):
     """Return estimates of given lengths whose torques are their number, unchanged by smoothing."""
-    monkeypatch.setattr(estimate.smoother, "smooth_steps", lambda *given: None)
+    monkeypatch.setattr(smoothed.smoother, "smooth_steps", lambda *given: None)
 
     def made(*lengths):
         first = 0
@@ -226,7 +227,7 @@ def test_steps_are_smoothed_in_blocks_that_enough_others_follow(pieces, step_tim
 def test_the_noise_of_friction_fades_from_step_to_step(pieces, monkeypatch):
     kept = []
     monkeypatch.setattr(
-        estimate.smoother, "smooth_steps", lambda rows, factor, *rest: kept.append(factor)
+        smoothed.smoother, "smooth_steps", lambda rows, factor, *rest: kept.append(factor)
     )
     own = Smoother(replace(UNCERTAINTY, friction_noise_time=0.2), 1e-2)
     own.add(next(pieces(5)))
@@ -238,7 +239,7 @@ def test_the_noise_of_friction_fades_from_step_to_step(pieces, monkeypatch):
 def test_without_its_delay_a_deviation_is_earlier_and_holds_at_the_end(corner, step):
     deviation = np.arange(60.0) ** 2
     late = min(round(passed.delay(corner) / step), 59)
-    found = estimate.without_delay(deviation, corner, step)
+    found = smoothed.without_delay(deviation, corner, step)
     expected = [deviation[min(k + late, 59)] for k in range(60)]
     np.testing.assert_array_equal(found, expected)
 
@@ -249,13 +250,13 @@ def test_parts_of_signals_join_again():
     idle = rng.random(30) < 0.5
     for none in (None, idle):
         whole = Signals(*values, 0.3, none)
-        first, second = estimate._part(whole, 0, 11), estimate._part(whole, 11, None)
-        again = estimate._joined(first, second)
+        first, second = whole.part(0, 11), whole.part(11, None)
+        again = first.joined(second)
         for name in ("drive_torque", "viscous", "low"):
             np.testing.assert_array_equal(getattr(again, name), getattr(whole, name))
         assert (again.width, len(first.low)) == (0.3, 11)
         assert again.idle is None if none is None else np.array_equal(again.idle, idle)
-    unknown = estimate._joined(first, replace(second, idle=None))
+    unknown = first.joined(replace(second, idle=None))
     assert unknown.idle is None
 
 

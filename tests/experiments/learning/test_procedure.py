@@ -212,7 +212,7 @@ def test_inputs_that_do_not_fit_are_refused(learned, folder, kt, friction):
     with open_run(learned[0]) as stored, open_run(kt) as constant:
         with pytest.raises(UsageError, match="takes one"):
             ilc_learn.analyse([stored, stored], stored.recipe, kt=constant)
-        with pytest.raises(RunFileError, match="no recording learn_000"):
+        with pytest.raises(RunFileError, match="no recording 'learn_000'"):
             ilc_learn.analyse([constant], stored.recipe, kt=constant)
         with pytest.raises(RunFileError, match="calibrate-kt"):
             ilc_learn.analyse([stored], stored.recipe, kt=stored)

@@ -318,7 +318,7 @@ def test_a_time_that_stands_is_refused(pulley, kt, monkeypatch):
 
 def test_another_commands_run_is_refused(pulley, folder, kt):
     with open_run(kt) as known, open_run(pulley[0]) as stored:
-        with pytest.raises(RunFileError, match="no recording multisine_000"):
+        with pytest.raises(RunFileError, match="no recording 'multisine_000'"):
             identify_plant.analyse([known], stored.recipe, kt=known)
         with pytest.raises(RunFileError, match="calibrate-kt"):
             identify_plant.analyse([stored], stored.recipe, kt=stored)

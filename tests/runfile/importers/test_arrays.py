@@ -123,6 +123,12 @@ def test_what_is_no_signal(tmp_path, contents, message):
         take(tmp_path / "a.npz", tmp_path / "a.h5", NAMED)
 
 
+def test_the_array_of_a_file_of_numpy_has_columns_by_number(tmp_path):
+    np.save(tmp_path / "a.npy", np.array(columns()))
+    with pytest.raises(RunFileError, match="has no column 't', only an array without a name"):
+        take(tmp_path / "a.npy", tmp_path / "a.h5", NAMED)
+
+
 @pytest.mark.parametrize("name", ["matrix.npy", "many.npz", "packed.mat", "v73.mat"])
 def test_damaged_files_are_refused_or_read_unchanged(tmp_path, name):
     text, write = WRITERS[name]

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rigtool.errors import RunFileError
+from rigtool.errors import RunFileError, UsageError
 from rigtool.recipe.mapping import parse_mapping
 from rigtool.runfile import open_run
 from rigtool.runfile.importers import import_files
@@ -584,3 +584,11 @@ value = {raw}
         recording = run.recording("imported")
         assert recording.read("temperature") == pytest.approx(25.0, rel=1e-12, abs=0)
         assert recording.condition("room") == pytest.approx(25.0, rel=1e-12, abs=0)
+
+
+def test_a_folder_that_cannot_be_made_is_refused_as_any_output(tmp_path, monkeypatch):
+    sources = [str(write(tmp_path / name, lines())) for name in ("a.csv", "b.csv")]
+    monkeypatch.setattr("rigtool.runfile.outputs.os.access", lambda *_: False)
+    with pytest.raises(UsageError, match=f"runs: the folder {tmp_path} cannot be written: choose"):
+        import_files(sources, str(tmp_path / "runs"), mapping())
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.csv", "b.csv"]

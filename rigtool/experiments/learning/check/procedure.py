@@ -114,13 +114,7 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
 
 
 def measure(
-    rig: Rig,
-    recipe: Recipe,
-    recorder: RunWriter,
-    *,
-    tables: Run,
-    kt: Run,
-    plant: Run | None = None,
+    rig: Rig, recipe: Recipe, recorder: RunWriter, *, tables: Run, kt: Run, plant: Run | None = None
 ) -> None:
     """Move as the table was learned: with the same feed-forward, without the table."""
     require_rig(tables, recipe)
@@ -138,12 +132,7 @@ def measure(
 
 
 def analyse(
-    runs: Sequence[Run],
-    recipe: Recipe,
-    *,
-    tables: Run,
-    kt: Run,
-    plant: Run | None = None,
+    runs: Sequence[Run], recipe: Recipe, *, tables: Run, kt: Run, plant: Run | None = None
 ) -> Outcome:
     """Compare the torque of the stored moves with the table.
 
@@ -152,7 +141,7 @@ def analyse(
     require_rig(tables, recipe)
     run, learned = common.only_run(runs), learned_table_from(tables)
     constant, learning = torque_per_ampere(kt).value, _filters(recipe, plant, tables)
-    recorded = run.recordings_named("check_") or common.found(run, "learn")
+    recorded = run.recordings_named("check_") or run.recordings_of("learn")
     fed = friction_beside(tables)
     whole = learned.table.period is not None
     if whole != _turns(recorded[0].conditions):

@@ -133,13 +133,11 @@ def _by_speed(rows: Sequence[Row], position: Array, learned: LearnedTable) -> Ta
     return Table(
         ("speed",),
         {
-            "speed": Column(np.array([row.speed for row in rows]), "rad/s", "of the motor shaft"),
-            "mismatch_rms": Column(
-                np.array([np.sqrt(np.mean(o**2)) for o in off]), "N m", "now - table"
-            ),
-            "mean_change": Column(np.array([o.mean() for o in off]), "N m", "now - table"),
+            "speed": Column([row.speed for row in rows], "rad/s", "of the motor shaft"),
+            "mismatch_rms": Column([np.sqrt(np.mean(o**2)) for o in off], "N m", "now - table"),
+            "mean_change": Column([o.mean() for o in off], "N m", "now - table"),
             "non_repeatable_rms": Column(
-                np.array([row.non_repeatable_rms for row in rows]), "N m", "of a single move"
+                [row.non_repeatable_rms for row in rows], "N m", "of a single move"
             ),
         },
         "mismatch_rms",
@@ -151,17 +149,13 @@ def _waveforms(rows: Sequence[Row], position: Array, learned: LearnedTable) -> T
     return Table(
         ("speed", "position"),
         {
-            "speed": Column(np.array([row.speed for row in rows]), "rad/s", "of the motor shaft"),
+            "speed": Column([row.speed for row in rows], "rad/s", "of the motor shaft"),
             "position": Column(position, "rad", "set point of the motor shaft"),
-            "now": Column(
-                np.stack([row.mean for row in rows]), "N m", "as it would be learned now"
-            ),
+            "now": Column([row.mean for row in rows], "N m", "as it would be learned now"),
             "learned": Column(
-                np.stack([_tabulated(row, position, learned) for row in rows]),
-                "N m",
-                "by the table",
+                [_tabulated(row, position, learned) for row in rows], "N m", "by the table"
             ),
-            "u": Column(np.stack([row.u for row in rows]), "N m", "standard uncertainty of now"),
+            "u": Column([row.u for row in rows], "N m", "standard uncertainty of now"),
             "dof": dof_column([row.dof for row in rows]),
         },
         "now",

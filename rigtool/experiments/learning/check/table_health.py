@@ -47,8 +47,7 @@ class ParityPart:
     """One parity at one speed: learned (n,) and each present move (m, n), N m.
 
     `learned_u` (n,) is the standard uncertainty of the learned part. `odd` has the sign of the
-    speed; with one direction alone, everything counts as
-    `even`.
+    speed; with one direction alone, everything counts as `even`.
     """
 
     speed: float
@@ -239,8 +238,7 @@ def judge_table(parts: Sequence[ParityPart], position: Array, period: float | No
     power = max(pattern**2, np.finfo(float).tiny)
     influence = 2 * np.mean(left * fit.moves, axis=2).sum(axis=1) / speeds
     unexplained = HealthChange(
-        excess(left) ** 2 / power,
-        wider * float(influence.std(ddof=1)) / math.sqrt(count) / power,
+        excess(left) ** 2 / power, wider * float(influence.std(ddof=1)) / math.sqrt(count) / power
     )
     u = np.maximum(wider * fit.each.std(axis=0, ddof=1) / math.sqrt(count), fit.misfit_u)
     return TableHealth(

@@ -230,7 +230,5 @@ def _ripple(item: Turned) -> Turned:
     """Subtract the mean of each turn: it is friction, which A does not learn."""
     signal = item.cycles.signal - item.cycles.signal.mean(axis=1, keepdims=True)
     return replace(
-        item,
-        turns=replace(item.turns, torque=signal),
-        cycles=replace(item.cycles, signal=signal),
+        item, turns=replace(item.turns, torque=signal), cycles=replace(item.cycles, signal=signal)
     )

@@ -136,8 +136,7 @@ def task(spec: RecordingSpec, fed: Feedforward) -> Task:
     if spec.name.startswith("sweep_"):
         last = end + SETTLE_TIME
         profile = SpeedProfile(
-            (0.0, run_up, begin, end, last, last + run_up),
-            (0.0, -speed, -speed, speed, speed, 0.0),
+            (0.0, run_up, begin, end, last, last + run_up), (0.0, -speed, -speed, speed, speed, 0.0)
         )
     else:
         last = end + STOP_MARGIN
@@ -295,7 +294,7 @@ class BareMotor(Implementation[T]):
     ) -> LearningReport:
         """Report the table, and the remaining disturbance with it on."""
         filters, history = self.filters.learning, taught.history
-        after = self.turned(common.found(run, "validate"))
+        after = self.turned(run.recordings_of("validate"))
         counts = self.recipe.rig.encoder_counts
         remains = remaining(self.before(taught, recorded[0]), after, filters, counts)
         if len(history) == 1 or not history[-1].finished:  # else that table was on already

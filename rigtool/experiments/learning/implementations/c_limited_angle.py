@@ -120,7 +120,7 @@ class LimitedAngle(Implementation[TaughtMoves]):
         self, run: Run, taught: TaughtMoves, recorded: Sequence[Sequence[Recording]]
     ) -> LearningReport:
         """Report the table, and the remaining disturbance with it on."""
-        remaining = self._remaining(taught, common.found(run, "validate"))
+        remaining = self._remaining(taught, run.recordings_of("validate"))
         between = steady_outcome(self._validated(run, remaining))
         repeated: dict[str, Table] = {}
         if runs_at_most(self.recipe) > 1:

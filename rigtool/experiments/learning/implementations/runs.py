@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from rigtool.experiments.learning.convergence import LearningRun, carried_noise
-from rigtool.experiments.learning.implementations.signals import found
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Recording, Run, Table, dof_column
 
@@ -30,7 +29,7 @@ def recorded_runs(run: Run, recipe: Recipe) -> list[list[Recording]]:
     """Return the recordings of each learning run that was made."""
     kinds = map(kind_of, range(1, runs_at_most(recipe)))
     later = (run.recordings_named(f"{kind}_") for kind in kinds)
-    return [found(run, kind_of(0)), *(recordings for recordings in later if recordings)]
+    return [run.recordings_of(kind_of(0)), *(recordings for recordings in later if recordings)]
 
 
 def last_update(history: Sequence[LearningRun], factor: float) -> tuple[int, float]:
@@ -48,7 +47,7 @@ def iterations_table(history: Sequence[LearningRun], unit: str, what: str) -> Ta
     """Return amplitude against iteration; `what` names the signal."""
 
     def column(read: Callable[[LearningRun], float], text: str, of: str = unit) -> Column:
-        return Column(np.array([read(run) for run in history]), of, text)
+        return Column([read(run) for run in history], of, text)
 
     return Table(
         ("iteration",),

@@ -1,4 +1,4 @@
-"""Common to all implementations: signals of healthy recordings, names of recordings."""
+"""Common to all implementations: recordings of a healthy loop, and their signals."""
 
 from __future__ import annotations
 
@@ -62,14 +62,3 @@ def only_run(runs: Sequence[Run]) -> Run:
     if len(runs) > 1:
         raise UsageError(f"{len(runs)} run files: ilc-learn takes one, with all its speeds")
     return runs[0]
-
-
-def found(run: Run, kind: str) -> list[Recording]:
-    """Return the recordings of a kind that hold samples; `RunFileError` where there are none."""
-    recordings = run.recordings_named(f"{kind}_")
-    if not recordings:
-        raise RunFileError(
-            f"{run.path}: has no recording {kind}_000: give the run file in which ilc-learn "
-            "recorded its signals"
-        )
-    return recordings

@@ -22,7 +22,7 @@ from rigtool.experiments.learning.implementations.runs import (
     recorded_runs,
     runs_at_most,
 )
-from rigtool.experiments.learning.implementations.signals import found, only_run, record_loop
+from rigtool.experiments.learning.implementations.signals import only_run, record_loop
 from rigtool.experiments.learning.procedure_design import FilterDesign, design_filters
 from rigtool.experiments.learning.rows import Amplitudes
 from rigtool.experiments.learning.stored_table import feedforward, friction_results
@@ -204,7 +204,7 @@ class Implementation(ABC, Generic[T]):
     def _analyse(self, run: Run) -> Outcome:
         recorded = recorded_runs(run, self.recipe)
         self.require_friction_fed(recorded[0][0])
-        tuned = found(run, "tune") if "tune" in self.kinds(self.recipe) else []
+        tuned = run.recordings_of("tune") if "tune" in self.kinds(self.recipe) else []
         taught = self.finish(self.learn(recorded, run.recordings_named("low_")), tuned)
         report = self.report(run, taught, recorded)
         most = runs_at_most(self.recipe)

@@ -105,7 +105,7 @@ class RepeatedMove(Implementation[TaughtSignal]):
         self, run: Run, taught: TaughtSignal, recorded: Sequence[Sequence[Recording]]
     ) -> LearningReport:
         """Report the remaining error, run by run."""
-        final = self._cut(common.found(run, "validate")[0])
+        final = self._cut(run.recordings_of("validate")[0])
         history, first = taught.history, taught.history[0]
         check = self._judge(final, len(history))
         if len(history) == 1 or not history[-1].finished:

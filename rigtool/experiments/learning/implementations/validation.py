@@ -79,10 +79,10 @@ def steady_outcome(found: Sequence[Steady]) -> Outcome:
         ("speed",),
         {
             "speed": Column(speed, "rad/s", "of the motor shaft"),
-            **{k: Column(np.array(v), "N m", text) for k, (v, text) in numbers.items()},
+            **{k: Column(v, "N m", text) for k, (v, text) in numbers.items()},
             "off_dof": dof_column([item.before.dof for item in ordered]),
             "on_dof": dof_column([item.after.dof for item in ordered]),
-            **{k: Column(np.array(v), "1", text) for k, (v, text) in flags.items()},
+            **{k: Column(v, "1", text) for k, (v, text) in flags.items()},
         },
         "on_peak",
         "controller torque at constant speed, mean of the cycles, within the band of Q",

@@ -15,11 +15,7 @@ from rigtool.rigs.serial.line import DamagedReply, Line
 BAUD_RATE = 115200
 
 UNKNOWN = "*10"
-ERRORS = {
-    "*11": "not applicable",
-    "*12": "invalid specifier",
-    "*22": "value too large",
-}
+ERRORS = {"*11": "not applicable", "*12": "invalid specifier", "*22": "value too large"}
 _REPLY = re.compile(r"([+-]?\d+\.?\d*) ?([A-Za-z]*)", re.ASCII)
 
 

@@ -25,8 +25,5 @@ class Epos4CanDrive(Epos4Facts, CanDrive):
 
 
 DRIVER = Driver(
-    partial(probe, kind=Epos4CanDrive),
-    BIT_RATES,
-    partial(make_drive, kind=Epos4CanDrive),
-    can=True,
+    partial(probe, kind=Epos4CanDrive), BIT_RATES, partial(make_drive, kind=Epos4CanDrive), can=True
 )

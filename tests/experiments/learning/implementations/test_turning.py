@@ -276,7 +276,7 @@ def test_recordings_that_do_not_fit_are_refused(learned, folder, kt, friction):
         other = override_recipe(stored.recipe, [using("A")])
         with (
             open_run(write_zero_friction(folder)) as zero,
-            pytest.raises(RunFileError, match="has no recording tune_000"),
+            pytest.raises(RunFileError, match="has no recording 'tune_000'"),
         ):
             ilc_learn.analyse([stored], other, kt=constant, friction=zero)
 
