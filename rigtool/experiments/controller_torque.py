@@ -63,7 +63,10 @@ steps and the delay of the current leave this much at any load."""
 LOWEST_HZ = 0.5
 """Lower end of the band in which the controller's gain counts: slower than any motion."""
 
-SMALLER_FORCE = "use a smaller force, take a stiffer [rig.controller], or move slower"
+SMALLER_FORCE = (
+    "use a smaller force, take a stiffer [rig.controller] or a lower rig.controller.integrator_hz, "
+    "which makes a load swing less, or move slower"
+)
 """Remedy where the loop saturates under a load."""
 
 SPECTRUM_POINTS, EDGE_HARMONICS = 500, 50
@@ -121,6 +124,12 @@ def loop_signals(recording: Recording, recipe: Recipe, remedy: str = SMALLER_FOR
     whole = tuple(recording.read(name) for name in _names(recording))
     (signals,) = _checked([whole], recipe, remedy)
     return signals
+
+
+def require_not_saturated(recording: Recording, recipe: Recipe) -> None:
+    """Raise `InsufficientDataError` where the loop of a recording saturated."""
+    names = "time", "current_setpoint", "feedforward_current"
+    SaturationWatch(recipe, SMALLER_FORCE).block({name: recording.read(name) for name in names})
 
 
 def _names(recording: Recording) -> list[str]:

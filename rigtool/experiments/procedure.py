@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import dataclass, field
 
 from rigtool.experiments.outcome import Outcome
@@ -66,7 +67,8 @@ def record(
     `watch` gets each block once it is recorded, and ends the measurement where it raises an error.
     """
     names = recorder.channel_names(recording)
-    for block in rig.perform(task):
-        recorder.append(recording, {name: block[name] for name in names})
-        if watch is not None:
-            watch(block)
+    with closing(rig.perform(task)) as blocks:
+        for block in blocks:
+            recorder.append(recording, {name: block[name] for name in names})
+            if watch is not None:
+                watch(block)

@@ -6,7 +6,7 @@ Channels and their units are fixed here, so that run files of all rigs read alik
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Generator
 from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
@@ -156,8 +156,11 @@ class Rig(Protocol):
     def position(self) -> float:
         """Angle of the shaft, rad."""
 
-    def perform(self, task: Task) -> Iterator[Block]:
-        """Run a task and yield its signals in blocks; moves to the motion's start first."""
+    def perform(self, task: Task) -> Generator[Block, None, None]:
+        """Run a task and yield its signals in blocks; moves to the motion's start first.
+
+        Closed before its end, the motion ends: the motor has no current until the next one.
+        """
 
     def move_by(self, angle: float) -> None:
         """Turn the shaft by an angle, rad, and come to rest; nothing is recorded."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -105,7 +105,7 @@ class _Rehearsal(Rig):
         """Angle of the shaft after the motions so far, rad; NaN where it is not known."""
         return self._position
 
-    def perform(self, task: Task) -> Iterator[Block]:
+    def perform(self, task: Task) -> Generator[Block, None, None]:
         """List a task; there are no signals."""
         self.plan.duration += task.motion.duration
         if self._limits is not None:
@@ -128,7 +128,8 @@ class _Rehearsal(Rig):
         for need in _needs(task):
             work = [describe_load(task.load, self._rig.attachment)] if need == "load" else []
             self._need(need, *work)
-        return iter(())
+        nothing: tuple[Block, ...] = ()
+        return (block for block in nothing)
 
     def _require_carried(self, load: Load) -> None:
         """Raise `RecipeError` for a load that takes more current than there is."""

@@ -228,7 +228,7 @@ class SerialRig(Rig, ABC):
 
     # -- motions
 
-    def perform(self, task: Task) -> Iterator[Block]:
+    def perform(self, task: Task) -> Generator[Block, None, None]:
         """Run a task and yield its signals in blocks; moves to the motion's start first.
 
         Raises `HardwareError` where the motion is beyond a limit, or something goes wrong.

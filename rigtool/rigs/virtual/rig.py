@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -43,6 +43,8 @@ NO_TABLE = (np.zeros((0, 0)), np.zeros(0), np.zeros(3))
 SOAK_TIME = 600.0
 MOVE_SPEED = 2.0
 SETTLE_TIME = 0.5
+REST_TIME = 2.0
+"""Time in which a motor whose motion was broken off comes to rest without current, s."""
 
 
 class VirtualRig(Rig):
@@ -127,7 +129,7 @@ class VirtualRig(Rig):
 
     # -- tasks
 
-    def perform(self, task: Task) -> Iterator[Block]:
+    def perform(self, task: Task) -> Generator[Block, None, None]:
         """Run a task and yield its signals in blocks; moves to the motion's start first.
 
         A task that observes has the motion of the recipe's [virtual.hand]: another controller's,
@@ -138,7 +140,12 @@ class VirtualRig(Rig):
             return
         if task.start is not None:
             self.move_by(task.start - self._closed_loop_setpoint())
-        yield from self._run(task)
+        try:
+            yield from self._run(task)
+        except GeneratorExit:
+            for _ in self._run(Task(CurrentSteps((0.0,), REST_TIME))):
+                pass
+            raise
 
     def _observe(self, task: Task) -> Iterator[Block]:
         """Let a hand or another controller move the rig, and yield the readable signals."""
@@ -148,7 +155,7 @@ class VirtualRig(Rig):
         if self._virtual.hand.moves == "motor":
             inertia = self._rig.nominal_inertia
             moved = replace(task, motion=motion, feedforward=Feedforward(inertia))
-            blocks = self.perform(moved)
+            blocks: Iterator[Block] = self.perform(moved)
         else:
             for _ in self._run(
                 *self._by_hand(replace(task, touched=False), self._approach(motion))

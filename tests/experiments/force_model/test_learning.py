@@ -314,11 +314,12 @@ def test_a_load_that_swings_anew_in_each_cycle_gets_a_remark(fit, learned, hertz
     found = {"known_000_000": calm, "known_000_001": swinging}
     scatter = {"known_000_000": 1.0, "known_000_001": 9.0}
     force = LearnedForce(ForceModel(learned, CALM), fit, found, scatter, True)
-    (note,) = stroke_notes(force)
+    recipe = load_recipe(RECIPE)[0]
+    (note,) = stroke_notes(force, recipe)
     assert note.startswith("known_000_001: its cycles scatter by 9 times")
     assert cause in note
     assert scatter_hz(swinging) == pytest.approx(hertz, abs=0.2)
-    short, _ = stroke_notes(replace(force, shown=False))
+    short, _ = stroke_notes(replace(force, shown=False), recipe)
     assert "shorter than 1 s" in short
     assert "slower speed to ilc_learn.loads.speeds_rev_per_s" in short
 

@@ -279,3 +279,17 @@ def test_a_virtual_rig_needs_its_parameters():
     recipe = parse_recipe("recipe = 1\n[rig]\nname = 'x'\n")
     with pytest.raises(RecipeError, match=r"no table \[virtual\]"):
         open_rig(recipe, KT, "test")
+
+
+def test_a_motion_that_is_broken_off_leaves_the_rig_at_rest():
+    """A controller that swings at its limit of current must not go on under the next motion."""
+    rig = rig_with("rig.attachment=instrument")[0]
+    task = Task(Triangle(0.0, 2.0, 8.0, 0.3, 10), load=Load(force=3.0))
+    blocks = rig.perform(task)
+    next(blocks)
+    blocks.close()
+    here = rig.position
+    still = perform(rig, Task(CurrentSteps((0.0,), 0.5)))
+    turn = 2 * np.pi / 4000
+    np.testing.assert_allclose(still["encoder"] * turn, here, atol=3 * turn)
+    assert np.abs(perform(rig, Task(SpeedProfile((0.0, 0.5), (0.0, 0.0))))["current"]).max() < 0.1

@@ -27,6 +27,12 @@ from rigtool.experiments.force_model.procedure_learning import (
 )
 from rigtool.experiments.force_model.records import Record
 from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
+from rigtool.experiments.learning.implementations.d_saturated import (
+    FEWEST_LOADS,
+    TooHeavy,
+    left_out_notes,
+    unsaturated,
+)
 from rigtool.experiments.learning.implementations.d_tendon import stroke_notes, tendon_results
 from rigtool.experiments.learning.implementations.signals import record_loop
 from rigtool.experiments.learning.stored_table import feedforward, friction_results
@@ -100,24 +106,34 @@ class KnownLoads(LimitedAngle):
 
     @classmethod
     def measure(cls, rig: Rig, recipe: Recipe, recorder: RunWriter, **inputs: Any) -> None:
-        """Learn the table, then lift and lower the known loads."""
+        """Learn the table, then lift and lower the known loads.
+
+        Raises `InsufficientDataError` where the loop saturates without load, or so often that fewer
+        than two loads are learned from.
+        """
         super().measure(rig, recipe, recorder, **inputs)
         plain = feedforward(recipe.rig.nominal_inertia, friction_results(inputs.get("friction")))
         settings, ratio = recipe.measure_force, recipe.rig.angle_ratio
+        too_heavy = TooHeavy()
         for spec in _loaded(recipe):
             speed, force, cycles = (spec.conditions[k][0] for k in ("speed", "force", "cycles"))
+            if too_heavy(force, speed):
+                continue
             motion = Triangle.of_output(
                 settings.angle, settings.turn_angle, ratio, speed, int(cycles)
             )
             task = Task(motion, plain, Load(force=force), record_every=spec.record_every)
-            record_loop(rig, recipe, task, recorder, spec.name)
+            with too_heavy.noticed(force, speed):
+                record_loop(rig, recipe, task, recorder, spec.name)
+        too_heavy.require_lifted()
         low = rig.position
         for number, spec in enumerate(_explored(recipe)):
             if number:
                 rig.move_by(low - rig.position)
-            load = Load(force=spec.conditions["force"][0])
-            task = Task(exploring(recipe, number), plain, load)
-            record_loop(rig, recipe, task, recorder, spec.name)
+            force = spec.conditions["force"][0]
+            task = Task(exploring(recipe, number), plain, Load(force=force))
+            with too_heavy.noticed(force):
+                record_loop(rig, recipe, task, recorder, spec.name)
 
     @classmethod
     def analyse(cls, runs: Sequence[Run], recipe: Recipe, **inputs: Any) -> Outcome:
@@ -127,23 +143,25 @@ class KnownLoads(LimitedAngle):
         """
         table = super().analyse(runs, recipe, **inputs)
         run = runs[0]
-        learned = _learn_force(run, recipe, inputs["kt"])
-        loads = _known_loads(run, recipe, learned.strokes)
+        recorded = run.recordings_named(f"{LOADED_PREFIX}_")
+        strokes = unsaturated(recorded, recipe, FEWEST_LOADS)
+        learned = _learn_force(run, strokes, recipe, inputs["kt"])
+        loads = _known_loads(run, strokes, recipe, learned.strokes)
         found = _loads_outcome(run, recipe, learned, loads)
+        left_out = left_out_notes(recorded, strokes, learned.model.learned.shape, recipe)
         constant = torque_per_ampere_at(inputs["kt"], REFERENCE_DEGC)
         own = {stored.MODEL_PREFIX + stored.CONSTANT: constant}
         return Outcome(
             {**table.results, **found.results, **stored.model_results(learned.model), **own},
             {**table.tables, **found.tables, **stored.model_tables(learned.model)},
-            (*table.notes, *found.notes),
+            (*table.notes, *left_out, *found.notes),
         )
 
 
-def _learn_force(run: Run, recipe: Recipe, kt: Run) -> LearnedForce:
+def _learn_force(run: Run, strokes: Sequence[Recording], recipe: Recipe, kt: Run) -> LearnedForce:
     explored = run.recordings_named(f"{EXPLORED}_")
-    strokes = run.recordings_named(f"{LOADED_PREFIX}_")
     forces = {r.condition("force") for r in strokes} - {0.0}
-    if len(forces) < 2 or not explored:
+    if len(forces) < FEWEST_LOADS or not explored:
         raise RunFileError(
             f"{run.path}: holds {len(forces)} known loads and {len(explored)} recordings that "
             "explore rest and reversals, 2 loads and one exploration are needed: give the run file "
@@ -151,7 +169,8 @@ def _learn_force(run: Run, recipe: Recipe, kt: Run) -> LearnedForce:
         )
     moves = [r for kind in ("learn", "low") for r in run.recordings_named(f"{kind}_")]
     switched, checks = (run.recordings_named(f"{kind}_") for kind in ("validate", CHECKED))
-    return learn_force(strokes, moves, switched, explored[0], checks, recipe, kt)
+    healthy = unsaturated(checks, recipe)
+    return learn_force(strokes, moves, switched, explored[0], healthy, recipe, kt)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,10 +183,12 @@ class _KnownLoads:
     moment: Array
 
 
-def _known_loads(run: Run, recipe: Recipe, strokes: dict[str, Record]) -> _KnownLoads:
+def _known_loads(
+    run: Run, recorded: Sequence[Recording], recipe: Recipe, strokes: dict[str, Record]
+) -> _KnownLoads:
     """Return each load beside the same motion without."""
     by_speed: dict[float, list[Recording]] = {}
-    for recording in run.recordings_named(f"{LOADED_PREFIX}_"):
+    for recording in recorded:
         by_speed.setdefault(recording.condition("speed"), []).append(recording)
     arm, found = recipe.rig.load_arm, []
     for speed, group in by_speed.items():
@@ -207,7 +228,7 @@ def _loads_outcome(run: Run, recipe: Recipe, learned: LearnedForce, loads: _Know
             ),
         },
         {**grid_tables(grid, recipe), "left_out": _left_out(learned, loads, recipe)},
-        (*_notes(largest, speeds, recipe), *stroke_notes(learned)),
+        (*_notes(largest, speeds, recipe), *stroke_notes(learned, recipe)),
     )
 
 
@@ -237,16 +258,14 @@ def _left_out(learned: LearnedForce, loads: _KnownLoads, recipe: Recipe) -> Tabl
     for column, moment in enumerate(moments):
         less = sliding.learned_from([r.moment != moment for r in sliding.problem.records])
         for row, speed in enumerate(speeds):
-            (pair,) = (
-                loads.pairs[i]
-                for i in np.flatnonzero((loads.speed == speed) & (loads.moment == moment))
-            )
-            (found,) = read_loads(less, [pair], largest, angle, settings.lowpass_hz)
-            if isinstance(found, InsufficientDataError):
-                continue
-            error[row, column] = 100 * (found.moment / moment - 1)
-            u[row, column] = 100 * (found.quantity.u or 0.0) / moment
-            dof[row, column] = found.quantity.dof or math.inf
+            chosen = np.flatnonzero((loads.speed == speed) & (loads.moment == moment))
+            for i in chosen.tolist():  # none where the load was too heavy
+                (found,) = read_loads(less, [loads.pairs[i]], largest, angle, settings.lowpass_hz)
+                if isinstance(found, InsufficientDataError):
+                    continue
+                error[row, column] = 100 * (found.moment / moment - 1)
+                u[row, column] = 100 * (found.quantity.u or 0.0) / moment
+                dof[row, column] = found.quantity.dof or math.inf
     return Table(
         ("speed", "load"),
         {

@@ -20,10 +20,12 @@ from rigtool.experiments.force_model.learning import LearnedModel, SlidingFit
 from rigtool.experiments.force_model.procedure_learning import LearnedForce
 from rigtool.experiments.force_model.records import ROWS_HZ, Record
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
+from rigtool.experiments.learning.implementations.d_saturated import driven, swing_hz
 from rigtool.experiments.load_disturbance.reading import LoadedPair
 from rigtool.experiments.load_disturbance.results_known_loads import ANGLE_RATIO, LOAD_ARM, WEIGHTS
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Component, Quantity, combined, error_line
+from rigtool.recipe import Recipe
 from rigtool.recipe.rig import RigDescription
 
 TENDON = {
@@ -75,7 +77,7 @@ def tendon_results(
     return results
 
 
-def stroke_notes(learned: LearnedForce) -> Iterator[str]:
+def stroke_notes(learned: LearnedForce, recipe: Recipe) -> Iterator[str]:
     """Yield a remark where no stroke is long enough, and for each load whose cycles do not repeat,
     with the frequencies that show whether it swings on its tendon: that of the scatter, and
     sqrt(k / J) of the load."""
@@ -90,9 +92,11 @@ def stroke_notes(learned: LearnedForce) -> Iterator[str]:
     for name, record in learned.strokes.items():
         if (ratio := learned.scatter[name]) <= MAX_SCATTER_RATIO:
             continue
-        inertia = record.load_inertia + shape.grasper_inertia
-        own_hz, seen_hz = math.sqrt(shape.stiffness / inertia) / (2 * math.pi), scatter_hz(record)
-        cause = "so the loop lets the load swing: move more slowly, or turn over a wider angle"
+        own_hz, seen_hz = swing_hz(shape, record.load_inertia), scatter_hz(record)
+        cause = (
+            "so the loop lets the load swing: move more slowly, or turn over a wider angle"
+            f"{driven(recipe, own_hz)}"
+        )
         if not 1 / SAME_FREQUENCY < seen_hz / own_hz < SAME_FREQUENCY:
             cause = "so something else differs from cycle to cycle: look at its recording"
         yield (

@@ -67,7 +67,7 @@ def test_loads_are_paired_with_the_same_motion_without():
         recording("e", 2.0, 0.0),
         recording("f", 2.0, 3.0),
     ]
-    found = _known_loads(run_of(made), RIG, {each.name: each.name for each in made})
+    found = _known_loads(run_of(made), made, RIG, {each.name: each.name for each in made})
     assert [(pair.loaded, pair.unloaded) for pair in found.pairs] == [
         ("b", ("a", "e")),
         ("f", ("a", "e")),
@@ -77,7 +77,7 @@ def test_loads_are_paired_with_the_same_motion_without():
     np.testing.assert_array_equal(found.speed, [2.0, 2.0, 5.0])
     np.testing.assert_allclose(found.moment, [ARM, 3 * ARM, 3 * ARM], rtol=1e-12)
     with pytest.raises(RunFileError, match="nothing was recorded without load at 2 rad/s"):
-        _known_loads(run_of(made[1:2]), RIG, {"b": "b"})
+        _known_loads(run_of([]), made[1:2], RIG, {"b": "b"})
 
 
 def test_the_temperature_is_the_mean_over_all_strokes():

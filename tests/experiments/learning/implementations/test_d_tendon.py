@@ -20,6 +20,7 @@ BENCH = (
     "rig.instrument.grasper_length_u=1e-4",
     "rig.instrument.angle_ratio_relative_u=0.004",
 )
+RIG = load_recipe(RECIPE)[0]
 NUMBER = {name: SLIDING_PARAMETERS.index(name) for name in ("stiffness", "damping", "tip_friction")}
 
 
@@ -124,20 +125,21 @@ def learned(scatter, periods=13, shown=True):
 
 
 def test_a_load_that_swings_on_its_tendon_is_named_with_both_frequencies():
-    (note,) = stroke_notes(learned(4.2))
+    (note,) = stroke_notes(learned(4.2), RIG)
     assert note.startswith("load_000: its cycles scatter by 4.2 times")
     assert "mostly at 6.5 Hz; on its tendon the output swings at 6.5 Hz, so the loop" in note
+    assert "--set rig.controller.integrator_hz=2 it leads" in note
     for periods in (9, 19):
-        (note,) = stroke_notes(learned(4.2, periods))
+        (note,) = stroke_notes(learned(4.2, periods), RIG)
         assert f"mostly at {periods / 2:g} Hz" in note
         assert "so something else differs from cycle to cycle" in note
 
 
 def test_cycles_that_repeat_need_no_remark():
-    assert not list(stroke_notes(learned(2.9)))
-    assert not list(stroke_notes(learned(3.0)))
+    assert not list(stroke_notes(learned(2.9), RIG))
+    assert not list(stroke_notes(learned(3.0), RIG))
 
 
 def test_short_strokes_show_no_deviations():
-    (note,) = stroke_notes(learned(1.0, shown=False))
+    (note,) = stroke_notes(learned(1.0, shown=False), RIG)
     assert "shorter than 1 s at constant speed. 3 % of the friction is assumed" in note
