@@ -116,11 +116,11 @@ def add_friction(fits: dict[int, DirectionFit], offset: Offset | None, found: Fi
         )
     velocity = {s: v for s, f in fits.items() if (v := f.stribeck_velocity) is not None}
     static = {s: v for s, f in fits.items() if (v := f.static) is not None}
-    if len(velocity) < len(fits):
+    if not velocity:
         lowest = max(fit.lowest for fit in fits.values())
-        without = " and ".join(DIRECTION_NAMES[sign] for sign in fits if sign not in velocity)
+        held = " and ".join(DIRECTION_NAMES[sign] for sign in fits)
         found.notes.append(
-            f"the data do not resolve a Stribeck effect in {without} direction: Coulomb and "
+            f"the data do not resolve a Stribeck effect in {held} direction: Coulomb and "
             f"viscous friction are a line above {lowest:.3g} rad/s"
         )
     _add_directions(found, "stribeck_velocity", velocity, "rad/s", dof, by_constant=False)
@@ -138,8 +138,7 @@ def _add_directions(
     by_constant: bool = True,
     common: Mapping[str, float] = MappingProxyType({}),
 ) -> None:
-    """Add the mean over directions, and each direction without the offset. Of one direction alone,
-    the mean over both is that direction's over 1 +- the asymmetry of friction.
+    """Add the mean over directions, and each direction without the offset.
 
     `dof` are the degrees of freedom of each direction's scatter; `common` are standard
     uncertainties that all of them share, by their lines in the budget.
@@ -147,9 +146,7 @@ def _add_directions(
     if not values:
         return
 
-    def state(
-        name: str, value: float, scatter: Component, sign: int | None, of_both: bool = False
-    ) -> None:
+    def state(name: str, value: float, scatter: Component, sign: int | None = None) -> None:
         lines = [
             scatter,
             *(error_line(line, shared, unit) for line, shared in common.items()),
@@ -158,12 +155,6 @@ def _add_directions(
             value -= sign * offset.offset[0]
             apart = math.hypot(offset.offset[1], offset.unknown)
             lines.append(error_line("constant torque", apart, unit))
-            if of_both:  # the other direction's follows from the asymmetry
-                asymmetry, asymmetry_u = offset.asymmetry
-                mean = 1 / (1 + sign * asymmetry)
-                lines = [replace(line, sensitivity=mean * line.sensitivity) for line in lines]
-                value *= mean
-                lines.append(error_line("asymmetry", value * mean * asymmetry_u, unit))
         quantity = found.scale.quantity if by_constant else combined
         found.results[name] = quantity(value, unit, lines)
 
@@ -174,8 +165,7 @@ def _add_directions(
         [replace(part, sensitivity=1 / len(parts)) for part in parts.values()],
     )
     both = error_line(SCATTER_LINE, mean.u or 0.0, unit, mean.dof)
-    one = next(iter(values)) if len(values) == 1 else None
-    state(name, mean.value, both, one, of_both=True)
+    state(name, mean.value, both)
     for sign, (value, _) in values.items():
         state(f"{name}_{DIRECTION_NAMES[sign]}", value, parts[sign], sign)
 

@@ -61,17 +61,27 @@ FALLING = 4.0
 def fit_directions(speed: Array, torque: Array, u: Array) -> dict[int, DirectionFit]:
     """Return the fit of each direction (+1, -1) that was held, from the means of holds (n,).
 
-    One law holds in both directions: where the directions prefer different shapes of the Stribeck
-    effect, the shape with the lower sum of criteria is taken, since parameters of two models have
-    no mean. Raises `InsufficientDataError` where a direction cannot be fitted.
+    One law holds in both directions: where they prefer different ones, the one with the lowest sum
+    of criteria is taken of those that both show, since parameters of two models have no mean. A
+    direction that shows a Stribeck effect alone does so by its noise, which makes the effect wider
+    and lower: curves as narrow and high as they are seem less determined. Raises
+    `InsufficientDataError` where a direction cannot be fitted.
     """
     fits = _by_direction(speed, torque, u, EXPONENT_LEADS)
-    shapes = {fit.exponent for fit in fits.values()} - {None}
-    if len(shapes) > 1:
-        common = (_by_direction(speed, torque, u, {d: EXPONENT_LEADS[d]}) for d in EXPONENT_LEADS)
-        fits = min(common, key=lambda found: sum(fit.criterion for fit in found.values()))
+    if len(_laws(fits)) > 1:
+        unchosen = dict.fromkeys(EXPONENT_LEADS, math.inf)
+        shapes = [unchosen, *({exponent: lead} for exponent, lead in EXPONENT_LEADS.items())]
+        common = [_by_direction(speed, torque, u, each) for each in shapes]
+        fits = min(
+            (found for found in common if len(_laws(found)) == 1),
+            key=lambda found: sum(fit.criterion for fit in found.values()),
+        )
     require_explained(list(fits.values()))
     return fits
+
+
+def _laws(fits: Mapping[int, DirectionFit]) -> set[float | None]:
+    return {fit.exponent for fit in fits.values()}
 
 
 def _by_direction(
@@ -98,7 +108,7 @@ def fit_direction(
     """Fit friction in one direction by weighted least squares.
 
     `speed` (n,) > 0 in rad/s, `torque` (n,) against the motion with standard uncertainty `u`, N m;
-    `shapes` are the exponents to try.
+    `shapes` are the exponents to try, with the lead that each needs.
     The Stribeck model is chosen only where the Akaike criterion (corrected: Hurvich and Tsai 1989)
     prefers it and all its parameters are determined; else the line is fitted, without the lowest
     speeds where they lie off it. Raises `InsufficientDataError` where

@@ -91,12 +91,13 @@ def test_a_mean_of_directions_has_half_of_each_scatter_and_what_they_share():
     assert any("same in both directions" in note for note in found.notes)
 
 
-def test_a_direction_without_stribeck_effect_is_named():
+def test_a_stribeck_effect_that_does_not_show_is_named():
     found = findings()
-    add_friction({1: fit(2e-3), -1: fit(2e-3, None, lowest=0.25)}, None, found)
-    assert "in negative direction" in found.notes[-1]
+    lines = {1: fit(2e-3, None, lowest=0.1), -1: fit(2e-3, None, lowest=0.25)}
+    add_friction(lines, None, found)
+    assert "a Stribeck effect in positive and negative direction: Coulomb" in found.notes[-1]
     assert "a line above 0.25 rad/s" in found.notes[-1]
-    assert "stribeck_velocity_negative" not in found.results
+    assert "stribeck_velocity" not in found.results
     alone = findings()
     add_friction({-1: fit(2e-3)}, None, alone)
     assert "only the negative direction" in alone.notes[0]
@@ -209,18 +210,6 @@ def test_the_ramp_that_is_stored_is_the_highest():
     assert len(table["time"]) <= RAMP_POINTS
     np.testing.assert_allclose(table["position"], 2 * (table["time"] + time[9000]))
     np.testing.assert_allclose(table["torque"], 3 * (table["time"] + time[9000]))
-
-
-def test_static_friction_of_one_direction_is_over_what_that_direction_has_more():
-    found = findings()
-    offset = Offset((0.2e-3, 0.0), (0.25, 0.02), True)
-    line = fit(2e-3, None)
-    add_friction({1: line, -1: fit(2e-3)}, offset, found)
-    negative = found.results["stribeck_static_friction_negative"]
-    both = found.results["stribeck_static_friction"]
-    assert both.value == pytest.approx(negative.value / 0.75, rel=1e-12)
-    expected = math.hypot(negative.u / 0.75, both.value / 0.75 * 0.02)
-    assert both.u == pytest.approx(expected, rel=1e-9)
 
 
 def test_breakaway_is_stored_by_direction_and_load():
