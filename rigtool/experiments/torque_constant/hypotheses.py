@@ -16,12 +16,22 @@ a single residual leaves (R. E. Kass, L. Wasserman, J. Am. Stat. Assoc. 90, 928,
 of the torque constants of all hypotheses is the uncertainty due to what the data do not show:
 friction whose contacts bend further than the arm moves is a spring beside the arm, and no staircase
 shows its stiffness.
+
+Loss of the torque constant by a current that lasts:
+
+    loss = mean over hypotheses of g tau (1 - exp(-t/tau)),   t = HEATING_TIME
+
+with g of (1) in `rigtool.experiments.torque_constant.staircase_model`. A staircase shows how much
+its own heat takes, and little of a time constant tau beyond its length: the loss by a lasting
+current is an extrapolation along tau. Where friction is large, an error of its law passes for
+another tau: friction that falls with speed is less in the swings than where the arm rests. What a
+hypothesis leaves below `LAW` of friction is no evidence: that squared is added to each Q.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -30,10 +40,8 @@ from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.mean_staircases import MeanStaircases
 from rigtool.experiments.torque_constant.staircase_model import Common, Stairs
 from rigtool.experiments.torque_constant.swings import longest_lag
-from rigtool.numerics.arrays import Array
-
-SHORTEST_TIME_CONSTANT, LONGEST_TIME_CONSTANT = 2.0, 300.0
-"""Range in which the winding's thermal time constant tau is searched, s."""
+from rigtool.experiments.torque_constant.winding_time import FEWEST_RESIDUALS
+from rigtool.numerics.arrays import TINY, Array
 
 LONGEST_TRANSITION = 10.0
 """Largest transition of friction, as a multiple of the span of the torque."""
@@ -49,14 +57,15 @@ TAU, TIME_CONSTANTS = 1, 11
 """Place of tau among these, and its values over all of its range in the last grid: hypotheses whose
 friction is less well tried would count against their tau."""
 
+LAW = 2e-3
+"""Relative standard uncertainty of friction by its law: swings of 0.04 rad/s lower friction with a
+Stribeck velocity of 0.3 rad/s by 0.2 to 0.9 % for a moment."""
+
 FINER_GRIDS = 3
 """Grids that each cover the best of the one before."""
 
 SHORTER_LAG = 12.0
 """Ratio of the longest lag of the arm's swings to the shortest."""
-
-FEWEST_RESIDUALS = 4.0
-"""Fewest independent residuals that are assumed."""
 
 
 @dataclass(frozen=True)
@@ -114,8 +123,8 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
     # The gauge's noise is also in the path, where it would count as evidence against friction.
     ways = ways_of(stairs)
     coarse = _joined([_search(means, way, 0) for way in ways])
-    means.smooth(coarse.best())
-    means.find_arm(coarse.best())
+    means.smooth(coarse.best(FEWEST_RESIDUALS))
+    means.find_arm(coarse.best(FEWEST_RESIDUALS))
     if means.arm is not None:
         ways = [(means.arm.lag, means.arm.lag)]
     found = weighed(means, ways)
@@ -129,12 +138,12 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
 def weighed(means: MeanStaircases, ways: list[tuple[float, float] | None]) -> Weighed:
     """Return all hypotheses, along paths of these lags."""
     tried = _joined([_search(means, way, FINER_GRIDS) for way in ways])
-    best = tried.best()
-    count = max(means.independent(best), FEWEST_RESIDUALS)
+    count = max(means.independent(tried.best(FEWEST_RESIDUALS)), FEWEST_RESIDUALS)
     # Half a normal distribution as wide as one residual leaves the loss by heat, of each kind.
     shows = (2 / math.sqrt(1 + count / means.kinds)) ** means.kinds
-    volume = tried.volume[:, None] * np.array([1.0, shows])
+    volume = (tried.volume * tried.warms)[:, None] * np.array([1.0, shows])
     slope, variance = (each.reshape(-1, 3) for each in (tried.slope, tried.variance))
+    best = tried.best(count)
     return Weighed(best, volume.ravel(), tried.square.ravel(), count, slope, variance)
 
 
@@ -143,21 +152,24 @@ class _Tried:
     """Hypotheses, at places (n, 4) of a grid in the logarithms of s, tau, the exponent and the lag
     (NaN where there is none), each without a loss by heat and with one, and what they leave.
 
-    `volume` (n,) is the part of the grid that each represents, `free` (n, 2) whether it has no
-    friction, `square` (n, 2) is Q, `slope` (n, 2, 3) the mean of the torque constants, their change
-    with temperature, and the loss by heat.
+    `volume` (n,) is the part of the grid that each represents, `warms` (n,) the likelihood of its
+    tau by the thermometer, `free` (n, 2) whether it has no friction, `square` (n, 2) is Q, `slope`
+    (n, 2, 3) the mean of the torque constants, their change with temperature, and the loss by heat.
     """
 
     place: Array
     volume: Array
+    warms: Array
     free: Array
     square: Array
     slope: Array
     variance: Array
 
-    def best(self) -> Common:
-        """Return the hypothesis that leaves least."""
-        least = np.unravel_index(int(np.argmin(self.square)), self.square.shape)
+    def best(self, independent: float) -> Common:
+        """Return the likeliest hypothesis, with so many independent residuals."""
+        square, warms = (np.log(np.maximum(each, TINY)) for each in (self.square, self.warms))
+        unlikely = independent / 2 * square - warms[:, None]
+        least = np.unravel_index(int(np.argmin(unlikely)), unlikely.shape)
         s, tau, exponent, lag = np.exp(self.place[least[0]]).tolist()
         free = bool(self.free[least])
         return Common(None if free else s, exponent, None if math.isnan(lag) else lag, tau)
@@ -184,7 +196,7 @@ def ways_of(stairs: Stairs) -> list[tuple[float, float] | None]:
 
 def _search(means: MeanStaircases, lag: tuple[float, float] | None, finer: int) -> _Tried:
     """Try hypotheses with lags of this range on a coarse grid, and on so many finer ones."""
-    low, high = _ranges(means.stairs, lag)
+    low, high = _ranges(means, lag)
     centre, half, wide = (low + high) / 2, (high - low) / 2, high > low
     found: list[_Tried] = []
     for level in range(1 + finer):
@@ -201,21 +213,52 @@ def _search(means: MeanStaircases, lag: tuple[float, float] | None, finer: int) 
         place = np.full((math.prod(numbers), 4), np.nan)
         place[:, : len(axes)] = list(product(*axes))
         volume = np.full(len(place), np.prod(step[wide] / (high - low)[wide]))
-        found.append(_Tried(place, volume, *means.try_all(axes)))
+        warms = means.winding.of(place[:, TAU])
+        found.append(_Tried(place, volume, warms, *means.try_all(axes)))
         best = int(np.argmin(found[-1].square.min(axis=1)))
         centre, half = place[best, : len(axes)], 1.5 * step
     return _joined(found)
 
 
-def _ranges(stairs: Stairs, lag: tuple[float, float] | None) -> tuple[Array, Array]:
+def _ranges(means: MeanStaircases, lag: tuple[float, float] | None) -> tuple[Array, Array]:
     """Return bounds of the logarithms of s, tau, the exponent and the lag, if there is one."""
-    courses = stairs.courses
+    courses = means.stairs.courses
     span = float(np.ptp(courses.torque[0]))
     step = span * float(np.median(np.abs(np.diff(courses.setpoint[0]))))
     step /= float(np.ptp(courses.setpoint[0]))
-    low = [step / 4, SHORTEST_TIME_CONSTANT, LOWEST_EXPONENT]
-    high = [LONGEST_TRANSITION * span, LONGEST_TIME_CONSTANT, HIGHEST_EXPONENT]
+    low, high = [step / 4, LOWEST_EXPONENT], [LONGEST_TRANSITION * span, HIGHEST_EXPONENT]
     if lag is not None:
         low.append(lag[0])
         high.append(lag[1])
-    return np.log(low), np.log(high)
+    return (
+        np.insert(np.log(low), TAU, means.winding.low),
+        np.insert(np.log(high), TAU, means.winding.high),
+    )
+
+
+def loss_by_heat(hypotheses: Hypotheses) -> tuple[float, float]:
+    """Return the relative loss of the constant within `HEATING_TIME`, over the square of the
+    current, 1/A2, and its standard uncertainty by what the hypotheses leave open."""
+    means, found = hypotheses.means, hypotheses.weighed
+    probable = found.probable(means.plateaus * (LAW * means.contacts(found.best).level) ** 2)
+    losses = found.slope[:, 2]
+    loss = float(probable @ losses)
+    spread = math.sqrt(float(probable @ ((losses - loss) ** 2 + found.variance[:, 2])))
+    stairs = means.stairs
+    length = float(np.mean(stairs.end.max(axis=1) - stairs.begin.min(axis=1)))
+    step = (means.winding.high - means.winding.low) / (TIME_CONSTANTS - 1)
+    return loss, math.hypot(spread, loss * _untried(found.best, length, step))
+
+
+def _untried(best: Common, length: float, step: float) -> float:
+    """Return the relative standard uncertainty of a loss by heat, as tau is tried in steps.
+
+    The loss is known at the end of a staircase of `length` s, whatever tau is; from there to
+    `HEATING_TIME` it grows by tau, whose logarithm lies anywhere within a `step` (GUM 4.3.7).
+    """
+    edges = [
+        replace(best, time_constant=best.time_constant * math.exp(side * step / 2))
+        for side in (-1, 1)
+    ]
+    low, high = (math.log(edge.warming() / edge.warming(length)) for edge in edges)
+    return abs(high - low) / math.sqrt(12)

@@ -24,6 +24,7 @@ from rigtool.experiments.torque_constant.staircase_model import (
     winding,
 )
 from rigtool.experiments.torque_constant.swings import friction_state, paths, straight_path
+from rigtool.experiments.torque_constant.winding_time import winding_time
 from rigtool.numerics.arrays import TINY, Array
 from rigtool.numerics.residual_covariance import independent_samples
 
@@ -43,6 +44,7 @@ class MeanStaircases:
 
     def __init__(self, stairs: Stairs, coefficient: float, trend: Array) -> None:
         self.stairs, self._coefficient = stairs, coefficient
+        self.winding = winding_time(stairs)
         self.arm: Arm | None = None
         self._time_constant = 0.0
         kind = stairs.courses.kind

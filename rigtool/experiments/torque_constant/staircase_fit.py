@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigtool.experiments.torque_constant.gauge_rounding import rounding_errors, spread_over_zeros
-from rigtool.experiments.torque_constant.heat_loss import loss_by_heat
-from rigtool.experiments.torque_constant.hypotheses import weigh_hypotheses
+from rigtool.experiments.torque_constant.hypotheses import loss_by_heat, weigh_hypotheses
 from rigtool.experiments.torque_constant.staircase import Plateaus
 from rigtool.experiments.torque_constant.staircase_levels import (
     branches,

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from rigtool.numerics.compiled import compiled_allocating
 
@@ -31,6 +32,8 @@ class Bench:
     heating: float = 0.022  # of the winding, K/(A2 s)
     time_constant: float = 29.0
     housing_drift: float = -0.01  # K/s
+    housing_share: float = 0.0  # heat capacity of the winding over the housing's
+    sensor_lag: float = 0.0  # of the thermometer, s
     arm_length: float = 0.54
     force_noise: float = 5e-4
     current_noise: float = 3e-4
@@ -72,7 +75,8 @@ class Bench:
         current = self.amplifier_gain * setpoint * (1 + self.cubic * setpoint**2)
         current = current + self.amplifier_offset
         housing = degc + self.housing_drift * time
-        winding = housing + self._winding_excess(current)
+        excess, warmed = self._heat(current)
+        winding = housing + warmed + excess
         constant = self.torque_constant * (1 + self.coefficient * (winding - 20))
         gain = 1 + sum(a * np.cos((k + 1) * angle + k) for k, a in enumerate(self.ripple))
         gain = gain + self.saturation * np.cos(3 * angle) * np.abs(current)
@@ -89,13 +93,19 @@ class Bench:
             "current_setpoint": setpoint,
             "current": current + self.current_noise * rng.standard_normal(n),
             "force": torque / self.arm_length + self.force_noise * rng.standard_normal(n),
-            "temperature": housing + 0.03 * rng.standard_normal(n),
+            "temperature": housing + self._sensed(warmed) + 0.03 * rng.standard_normal(n),
         }
 
-    def _winding_excess(self, current: Array) -> Array:
-        return _winding_excess(
-            current, self.heating, self.time_constant, self.housing_drift, self.sample_time
-        )
+    def _sensed(self, warmed: Array) -> Array:
+        """Return the thermometer's part of what warms the housing, K."""
+        if self.sensor_lag == 0:
+            return warmed
+        kept = np.exp(-self.sample_time / self.sensor_lag)
+        return np.asarray(lfilter([1 - kept], [1, -kept], warmed))
+
+    def _heat(self, current: Array) -> Array:
+        thermal = (self.heating, self.time_constant, self.housing_drift, self.housing_share)
+        return _heat(current, *thermal, self.sample_time)
 
     def _arm_torque(self, drive: Array, per_step: int) -> Array:
         arm = (self.friction, self.stiffness, self.presliding_angle, self.exponent)
@@ -103,15 +113,24 @@ class Bench:
 
 
 @compiled_allocating
-def _winding_excess(
-    current: Array, heating: float, time_constant: float, housing_drift: float, sample_time: float
+def _heat(
+    current: Array,
+    heating: float,
+    time_constant: float,
+    housing_drift: float,
+    housing_share: float,
+    sample_time: float,
 ) -> Array:
-    excess = np.zeros(len(current))
+    """Return by how much the winding is above the housing, and what that warms the housing."""
+    found = np.zeros((2, len(current)))
     for j in range(1, len(current)):
-        change = heating * current[j] ** 2 - excess[j - 1] / time_constant
-        change -= housing_drift  # the winding lags behind the housing
-        excess[j] = excess[j - 1] + sample_time * change
-    return excess
+        excess, warmed = found[:, j - 1]
+        rise = housing_share * excess / time_constant
+        change = heating * current[j] ** 2 - excess / time_constant
+        change -= housing_drift + rise  # the winding lags behind the housing
+        found[0, j] = excess + sample_time * change
+        found[1, j] = warmed + sample_time * rise
+    return found
 
 
 @compiled_allocating

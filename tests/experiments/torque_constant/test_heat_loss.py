@@ -5,13 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rigtool.experiments.torque_constant.heat_loss import (
-    LAW,
-    TAU_STEP,
-    _untried,
-    loss_by_heat,
-)
-from rigtool.experiments.torque_constant.hypotheses import Weighed
+from rigtool.experiments.torque_constant.hypotheses import LAW, Weighed, _untried, loss_by_heat
 from rigtool.experiments.torque_constant.staircase_model import HEATING_TIME, Common
 
 BEST = Common(0.02, 1.0, 0.1, 30.0)
@@ -27,11 +21,11 @@ def weighed_from(loss, square, independent=40.0):
 @pytest.mark.parametrize("time_constant", [5.0, 30.0, 150.0])
 def test_between_two_time_constants_a_loss_is_as_uncertain_as_their_distance(time_constant):
     """Against drawn time constants, all of which have the same loss after a staircase."""
-    tau = time_constant * np.exp(TAU_STEP * np.linspace(-0.5, 0.5, 10_001))
+    tau = time_constant * np.exp(0.4 * np.linspace(-0.5, 0.5, 10_001))
     grown = np.expm1(-HEATING_TIME / tau) / np.expm1(-8.0 / tau)
-    found = _untried(Common(None, 1.0, None, time_constant), 8.0)
+    found = _untried(Common(None, 1.0, None, time_constant), 8.0, 0.4)
     assert found == pytest.approx(np.std(np.log(grown)), rel=0.02, abs=0)
-    assert _untried(Common(None, 1.0, None, time_constant), HEATING_TIME) == 0.0
+    assert _untried(Common(None, 1.0, None, time_constant), HEATING_TIME, 0.4) == 0.0
 
 
 def loss_of(found, friction):
@@ -39,7 +33,12 @@ def loss_of(found, friction):
     whose loss is stated."""
     stairs = SimpleNamespace(begin=np.zeros((1, 2)), end=np.full((1, 2), HEATING_TIME))
     contacts = SimpleNamespace(level=friction)
-    means = SimpleNamespace(plateaus=30.0, contacts=lambda common: contacts, stairs=stairs)
+    means = SimpleNamespace(
+        plateaus=30.0,
+        contacts=lambda common: contacts,
+        stairs=stairs,
+        winding=SimpleNamespace(low=0.0, high=1.0),
+    )
     return loss_by_heat(SimpleNamespace(means=means, weighed=found))
 
 

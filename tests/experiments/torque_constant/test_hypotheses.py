@@ -7,15 +7,14 @@ import numpy as np
 import pytest
 
 from rigtool.experiments.torque_constant import hypotheses
-from rigtool.experiments.torque_constant.hypotheses import (
-    LONGEST_TIME_CONSTANT,
-    SHORTEST_TIME_CONSTANT,
-    _ranges,
-    _search,
-    weighed,
-)
+from rigtool.experiments.torque_constant.hypotheses import _ranges, _search, weighed
 from rigtool.experiments.torque_constant.staircase import plateaus_of_set_point
 from rigtool.experiments.torque_constant.staircase_fit import fit_staircases
+from rigtool.experiments.torque_constant.winding_time import (
+    LONGEST_TIME_CONSTANT,
+    SHORTEST_TIME_CONSTANT,
+    WindingTime,
+)
 from tests.experiments.torque_constant.staircases import Bench
 
 
@@ -51,6 +50,8 @@ class Bell:
             courses=SimpleNamespace(torque=rise[None], setpoint=20 * rise[None])
         )
         self.centre, self.width, self.places = centre, width, []
+        span = np.log([SHORTEST_TIME_CONSTANT, LONGEST_TIME_CONSTANT])
+        self.winding = WindingTime(span, np.ones(2))
 
     def try_all(self, axes):
         place = np.array(list(product(*axes)))
@@ -64,7 +65,7 @@ class Bell:
 @pytest.mark.parametrize("part", [0.1, 0.2])
 def test_finer_grids_stand_for_their_part_of_the_coarse_one(part):
     """Mean and standard deviation of a normal distribution come back, whatever grid shows it."""
-    low, high = _ranges(Bell(0, 0).stairs, None)
+    low, high = _ranges(Bell(0, 0), None)
     bell = Bell(low + np.array([0.45, 0.5, 0.52]) * (high - low), part * (high - low))
     # plateaus rise by a tenth: their friction begins within a quarter of it
     np.testing.assert_allclose(np.exp(low), [0.02 / 4, 2.0, 0.5], rtol=1e-9)
@@ -90,6 +91,23 @@ def test_a_single_lag_is_not_searched():
     _search(bell, (0.01, 0.12), 0)
     lags = np.unique(bell.places[-1][:, 3])
     np.testing.assert_allclose(lags[[0, -1]], np.log([0.01, 0.12]))
+
+
+def test_the_thermometer_weighs_time_constants():
+    """The mean of two normal distributions, one of the staircases and one of the thermometer."""
+    bell = Bell(np.array([-2.0, 3.0, 0.0]), 0.5)
+    tau = np.linspace(2.5, 4.5, 81)
+    bell.winding = WindingTime(tau, np.exp(-(((tau - 3.6) / 0.2) ** 2) / 2))
+    tried = _search(bell, None, 3)
+    shown = tried.place[tried.volume > 0, 1]
+    assert shown.min() > 2.8  # what the thermometer excludes is not tried
+    assert shown.max() < 4.4
+    weight = tried.volume * tried.warms * np.exp(-tried.square[:, 0] / 2)
+    expected = (3.0 / 0.5**2 + 3.6 / 0.2**2) / (1 / 0.5**2 + 1 / 0.2**2)
+    assert weight @ tried.place[:, 1] / weight.sum() == pytest.approx(expected, abs=0.02)
+    chosen = np.log([tried.best(number).time_constant for number in (1e-6, 1e6)])
+    least = tried.place[np.argmin(tried.square[:, 0]), 1]
+    assert chosen == pytest.approx([3.6, least], abs=0.1)
 
 
 @pytest.mark.parametrize("kinds", [1, 3])

@@ -1,0 +1,107 @@
+"""The winding's time constant by the housing's temperature."""
+
+import numpy as np
+import pytest
+
+from rigtool.experiments.torque_constant.staircase import plateaus_of_set_point
+from rigtool.experiments.torque_constant.staircase_fit import fit_staircases
+from rigtool.experiments.torque_constant.staircase_model import arrange
+from rigtool.experiments.torque_constant.winding_time import (
+    LONGEST_TIME_CONSTANT,
+    SHORTEST_TIME_CONSTANT,
+    TRIED,
+    _behind,
+    _flown,
+    winding_time,
+)
+from tests.experiments.torque_constant.staircases import Bench
+
+SHARE = 0.1
+
+LONGER = {"step_time": 0.8, "settle_time": 0.1, "sample_time": 8e-3}
+
+SHORTER = LONGER | {"step_time": 0.3, "sample_time": 4e-3}
+
+
+def plateaus(bench, **changed):
+    signals = bench.record((20, 35, 50), angles=6) | changed
+    return plateaus_of_set_point(**signals, arm_length=0.54, settle_time=bench.settle_time)
+
+
+def mean_and_u(found):
+    """Return mean and standard deviation of the logarithm of tau."""
+    probable = found.likelihood / found.likelihood.sum()
+    mean = probable @ found.logarithm
+    return mean, np.sqrt(probable @ (found.logarithm - mean) ** 2)
+
+
+@pytest.mark.parametrize("time_constant", [6.0, 20.0, 45.0])
+@pytest.mark.parametrize("lag", [0.0, 6.0])
+def test_the_housing_shows_how_long_the_winding_keeps_its_heat(time_constant, lag):
+    bench = Bench(time_constant=time_constant, housing_share=SHARE, sensor_lag=lag, **LONGER)
+    found = winding_time(arrange(plateaus(bench)))
+    mean, u = mean_and_u(found)
+    # the winding follows the housing by its share of the heat capacity
+    assert abs(mean - np.log(time_constant / (1 + SHARE))) < 2.5 * u
+    assert u < (0.8 if lag == 0 else 1.3)
+    assert found.low < np.log(time_constant) < found.high
+
+
+@pytest.mark.parametrize("share", [0.0, -SHARE])
+def test_a_housing_that_does_not_warm_says_little(share):
+    """A cooling body takes all heat; one that is cooled more by a fan says no more."""
+    bench = Bench(time_constant=29.0, housing_share=share, **LONGER)
+    found = winding_time(arrange(plateaus(bench)))
+    assert found.low < np.log(10.0)
+    assert found.high > np.log(80.0)
+
+
+def test_a_temperature_that_was_not_recorded_says_nothing():
+    bench = Bench(housing_share=SHARE, **LONGER)
+    count = len(bench.record((20, 35, 50), angles=6)["time"])
+    found = winding_time(arrange(plateaus(bench, temperature=np.full(count, 20.0))))
+    np.testing.assert_allclose(found.likelihood, 1.0, rtol=1e-6)
+    assert found.low == pytest.approx(np.log(SHORTEST_TIME_CONSTANT))
+    assert found.high == pytest.approx(np.log(LONGEST_TIME_CONSTANT))
+
+
+def test_the_loss_of_a_minute_follows_from_a_time_constant_that_shows():
+    """Eighteen staircases alone leave tau open, and the loss by a minute with it."""
+    shown, hidden = (
+        fit_staircases(plateaus(Bench(time_constant=20.0, housing_share=share, **LONGER)))
+        for share in (0.15, 0.0)
+    )
+    true = 1.16e-3 * 0.022 * 20.0 * -np.expm1(-3.0) / (1 - 1.16e-3 * 15)
+    assert shown.lasting_heating == pytest.approx(true, rel=0.06)
+    assert shown.lasting_heating_spread < 0.6 * hidden.lasting_heating_spread
+
+
+def test_the_heat_that_has_left_the_winding_is_that_of_small_steps():
+    power, tau = np.array([1.0, 4.0, 0.0, 9.0]), 7.0
+    begin, end = np.array([0.0, 0.5, 1.5, 4.0]), np.array([0.5, 1.5, 2.0, 5.0])
+    step, heat, flown, shown = 1e-4, 0.0, 0.0, []
+    middles = (begin + end) / 2
+    for k in range(50_000):
+        time = (k + 0.5) * step
+        now = power[(begin <= time) & (time < end)].sum()
+        heat += step * (now - heat / tau)
+        flown += step * heat
+        if np.abs(middles - (k + 1) * step).min() < step / 2:
+            shown.append(flown)
+    found = _flown(power, begin, end, np.array([1.0, tau]))
+    np.testing.assert_allclose(found[1], shown, rtol=2e-3)
+
+
+def test_a_lag_is_that_of_a_low_pass():
+    time = np.arange(1, 200) * 0.1
+    values = np.stack([time, time**2])
+    late = time - 3.0 * -np.expm1(-time / 3.0)
+    found = _behind(values, time, np.array([3.0]))
+    np.testing.assert_allclose(found[0], late, rtol=1e-9)
+    np.testing.assert_allclose(found[1], time**2 - 6.0 * late, atol=2e-3)
+    np.testing.assert_allclose(_behind(values, time, np.array([[0.0], [3.0]]))[0], values)
+
+
+def test_values_of_tau_are_close_enough_for_what_a_thermometer_shows():
+    step = np.log(LONGEST_TIME_CONSTANT / SHORTEST_TIME_CONSTANT) / (TRIED - 1)
+    assert step < 0.1
