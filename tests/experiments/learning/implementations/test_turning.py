@@ -481,7 +481,7 @@ def test_a_repeated_move_learns_its_error_through_the_controller(monkeypatch):
     np.testing.assert_allclose(taught.torque, each.mean(axis=0), atol=1e-9 * size)
     np.testing.assert_allclose(taught.u, each.std(axis=0, ddof=1) / 2, atol=1e-9 * size)
     assert taught.dof == 3
-    report = own.report(None, taught, ())
+    report = own.report(SimpleNamespace(recordings_of=lambda kind: [final]), taught, ())
     table = report.tables["trajectory"]
     np.testing.assert_allclose(table["time"], np.arange(first.count) * recipe.rig.sample_time)
     np.testing.assert_allclose(table["position"], np.cos(first.phase / 3))
