@@ -470,7 +470,6 @@ def test_a_repeated_move_learns_its_error_through_the_controller(monkeypatch):
     own.recipe, own.filters, own.torque_constant = recipe, design_filters(recipe), 0.05
     first, final = (RepeatedErrors(recipe, size, n) for n, size in enumerate((4e-3, 1e-3)))
     monkeypatch.setattr(trajectory.common, "signals", lambda one, _: one.signals)
-    monkeypatch.setattr(trajectory.common, "found", lambda run, kind: [final])
     taught = own.learn([[first]], ())
     period = first.count * recipe.rig.sample_time
     response = own.filters.controller.response(np.array([3 / period]))[0]
