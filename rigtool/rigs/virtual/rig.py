@@ -65,6 +65,7 @@ class VirtualRig(Rig):
         self._rig = true_rig(recipe.rig, recipe.virtual)
         self._stream = zlib.crc32(stream.encode())
         self._tasks = 0
+        self._under_way = False
         self._power_cycle = self._virtual.power_cycle
         self._time = 0.0
         self._clamp_angle = 0.0
@@ -143,8 +144,9 @@ class VirtualRig(Rig):
         try:
             yield from self._run(task)
         except GeneratorExit:
-            for _ in self._run(Task(CurrentSteps((0.0,), REST_TIME))):
-                pass
+            if self._under_way:
+                for _ in self._run(Task(CurrentSteps((0.0,), REST_TIME))):
+                    pass
             raise
 
     def _observe(self, task: Task) -> Iterator[Block]:
@@ -243,6 +245,7 @@ class VirtualRig(Rig):
             recorded = self._recorded(out[: done // every], every, task.load, rng)
             if task.touched:
                 recorded["reference_torque"] = out[: done // every, layout.REFERENCE_TORQUE]
+            self._under_way = done == count and first + count < total
             yield recorded
             self._time += done * dt
             if done < count:
