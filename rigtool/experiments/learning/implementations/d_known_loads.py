@@ -33,7 +33,11 @@ from rigtool.experiments.learning.implementations.d_saturated import (
     left_out_notes,
     unsaturated,
 )
-from rigtool.experiments.learning.implementations.d_tendon import stroke_notes, tendon_results
+from rigtool.experiments.learning.implementations.d_tendon import (
+    inertia_notes,
+    stroke_notes,
+    tendon_results,
+)
 from rigtool.experiments.learning.implementations.signals import record_loop
 from rigtool.experiments.learning.stored_table import feedforward, friction_results
 from rigtool.experiments.load_disturbance.reading import LoadedPair, read_loads
@@ -154,7 +158,7 @@ class KnownLoads(LimitedAngle):
         return Outcome(
             {**table.results, **found.results, **stored.model_results(learned.model), **own},
             {**table.tables, **found.tables, **stored.model_tables(learned.model)},
-            (*table.notes, *left_out, *found.notes),
+            (*table.notes, *left_out, *inertia_notes(learned.model.learned), *found.notes),
         )
 
 

@@ -17,6 +17,7 @@ from rigtool.experiments.force_model.deviations import (
     scatter_hz,
 )
 from rigtool.experiments.force_model.learning import LearnedModel, SlidingFit
+from rigtool.experiments.force_model.model import INERTIA_SPREAD, Kind
 from rigtool.experiments.force_model.procedure_learning import LearnedForce
 from rigtool.experiments.force_model.records import ROWS_HZ, Record
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
@@ -75,6 +76,21 @@ def tendon_results(
             alone = sliding.learned_from(chosen)
             results[f"tendon_stiffness_{name}"] = stated("stiffness", alone, chosen)
     return results
+
+
+def inertia_notes(model: LearnedModel) -> Iterator[str]:
+    """Yield a remark where the turns of strokes show an inertia that is two standard deviations of
+    its prior off the stated one: they are not fitted as well as they could be."""
+    own = zip(model.terms, model.coefficient, strict=True)
+    error = sum(float(value) for term, value in own if term.kind is Kind.INERTIA)
+    stated = model.known.inertia
+    if abs(error) > 2 * INERTIA_SPREAD * stated:
+        yield (
+            f"the turns of strokes show an inertia of some {stated + error:.2g} kg m2 on the motor "
+            f"shaft, {100 * abs(error) / stated:.0f} % {'less' if error < 0 else 'more'} than the "
+            f"{stated:.3g} kg m2 of [rig.inertia], so that intervals of force over time may not "
+            "hold: measure it with identify-plant, state it, and learn again"
+        )
 
 
 def stroke_notes(learned: LearnedForce, recipe: Recipe) -> Iterator[str]:

@@ -7,10 +7,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rigtool.experiments.force_model.model import Known
+from rigtool.experiments.force_model.model import Kind, Known, Term
 from rigtool.experiments.force_model.records import ROWS_HZ
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
-from rigtool.experiments.learning.implementations.d_tendon import stroke_notes, tendon_results
+from rigtool.experiments.learning.implementations.d_tendon import (
+    inertia_notes,
+    stroke_notes,
+    tendon_results,
+)
 from rigtool.experiments.load_disturbance.reading import LoadedPair
 from rigtool.recipe import load_recipe
 from tests.experiments.virtual_runs import RECIPE
@@ -143,3 +147,22 @@ def test_cycles_that_repeat_need_no_remark():
 def test_short_strokes_show_no_deviations():
     (note,) = stroke_notes(learned(1.0, shown=False), RIG)
     assert "shorter than 1 s at constant speed. 3 % of the friction is assumed" in note
+
+
+@pytest.mark.parametrize(
+    ("error", "shown"),
+    [
+        (0.19e-5, None),
+        (-0.19e-5, None),
+        (0.21e-5, "1.2e-05 kg m2 on the motor shaft, 21 % more"),
+        (-0.34e-5, "6.6e-06 kg m2 on the motor shaft, 34 % less than the 1e-05 kg m2"),
+    ],
+)
+def test_an_inertia_that_is_not_the_stated_one_has_a_note(error, shown):
+    terms = Term(Kind.OFFSET, 1e-3), Term(Kind.INERTIA, 1e-6), Term(Kind.VISCOUS, 1e-3)
+    model = SimpleNamespace(
+        terms=terms, coefficient=(1.0, error, 1.0), known=Known(0.85, 1.2, 1e-5)
+    )
+    notes = list(inertia_notes(model))
+    assert len(notes) == (shown is not None)
+    assert all(shown in note and "identify-plant" in note for note in notes)
