@@ -210,7 +210,8 @@ def customary(name: str, quantity: Quantity, size: float | None = None) -> Quant
 def format_number(value: float, u: float | None) -> str:
     """Return a value with two digits of its uncertainty in the short form of the GUM.
 
-    >>> format_number(45.8012, 0.0414) '45.801(41)'
+    >>> format_number(45.8012, 0.0414)
+    '45.801(41)'
     """
     if not math.isfinite(value):
         return str(value)
