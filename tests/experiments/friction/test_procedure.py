@@ -55,7 +55,7 @@ def test_no_other_number_has_changed(measured):
     require_unchanged("friction", measured[1])
 
 
-def extract(source, target, *names):
+def extract(source, target, *names, overrides=()):
     """Write a run with some of another one's recordings, as other people's files may be."""
     with open_run(source) as whole:
         parts = [whole.recording(name) for name in names]
@@ -70,7 +70,8 @@ def extract(source, target, *names):
             )
             for part in parts
         ]
-        with RunWriter(target, command="stribeck", recipe=whole.recipe, recordings=specs) as writer:
+        recipe = override_recipe(whole.recipe, overrides)
+        with RunWriter(target, command="stribeck", recipe=recipe, recordings=specs) as writer:
             for part in parts:
                 block = {channel.name: part.read(channel.name) for channel in part.channels}
                 writer.append(part.name, block)
@@ -213,6 +214,16 @@ def test_parts_of_a_run_give_what_they_carry(measured, kt, folder):
     }
     lacking = "holds, sweep, sweep_coulomb, sweep_viscous, breakaway_loaded, holds_loaded"
     assert f"not recorded, so without results: {lacking}" in ramps.notes
+
+
+def test_ramps_that_break_nothing_away_are_shown_and_noted(measured, kt, folder):
+    far = ("stribeck.breakaway_angle=3",)
+    part = extract(measured[0], folder / "stuck.h5", "sweep", "breakaway", overrides=far)
+    found = run(STRIBECK, part, folder / "stuck_out.h5", kt=kt)
+    assert "coulomb_friction" in found.results
+    assert not {"static_friction", "breakaway_torque_max"} & set(found.results)
+    assert any(note.startswith("'breakaway' is without results: ") for note in found.notes)
+    assert_allclose(found.tables["breakaway_ramp"]["torque"][0], 0, atol=0.5e-3)
 
 
 def test_sources_are_pooled(measured, kt, folder):

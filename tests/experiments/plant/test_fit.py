@@ -204,6 +204,14 @@ def test_an_excitation_that_is_lost_is_refused():
         fitted(RIGID, 0, coherence=0.6)
 
 
+def test_fewer_than_half_of_the_lines_are_too_few():
+    """Nine lines would carry a fit; a plant is not judged by a quarter of what was excited."""
+    found = measured(RIGID, 2)
+    coherence = np.where(np.arange(len(FREQUENCY)) < 9, 0.99, 0.5)
+    with pytest.raises(InsufficientDataError, match=r"only 9 of \d+ lines .* half of them"):
+        fit_plant(replace(found, coherence=coherence), SAMPLE_TIME, NOMINAL)
+
+
 def test_a_line_on_which_ripple_falls_is_no_second_mass():
     """Its scatter is its own, many times that of its neighbours, and 3.3 of it is its error."""
     for seed in range(4):

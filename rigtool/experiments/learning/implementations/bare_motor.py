@@ -372,5 +372,5 @@ class BareMotor(Implementation[T]):
         """
         interval = self.recipe.ilc_learn.turning.record_every * self.recipe.rig.sample_time
         count = torque.shape[1]
-        passed = np.outer(interval * np.abs(speed) / TURN, np.arange(count // 2 + 1))
+        passed = np.outer(interval * speed / TURN, np.arange(count // 2 + 1))
         return np.fft.irfft(np.fft.rfft(torque) * np.sinc(passed) ** 3, count)
