@@ -2,8 +2,8 @@
 
     step     P- = Phi P Phi'          update  P = P- - K K' s^2 (1 - rho)
 
-It is flat, `JOINT_STATES` rows of `ROW_LENGTH` columns one behind the other and a row to compute
-with, so that a processor works on eight columns at once.
+It is flat, `rows` (JOINT_LENGTH,): `JOINT_STATES` rows of `ROW_LENGTH` columns one behind the other
+and a row to compute with, so that a processor works on eight columns at once.
 """
 
 from __future__ import annotations
