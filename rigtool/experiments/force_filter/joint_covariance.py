@@ -2,7 +2,7 @@
 
     step     P- = Phi P Phi'          update  P = P- - K K' s^2 (1 - rho)
 
-It is flat, `rows` (JOINT_LENGTH,): `JOINT_STATES` rows of `ROW_LENGTH` columns one behind the other
+It is flat, `rows` (n,): `JOINT_STATES` rows of `ROW_LENGTH` columns one behind the other
 and a row to compute with, so that a processor works on eight columns at once.
 """
 
