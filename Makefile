@@ -198,7 +198,7 @@ real-data: | $(INSTALLED) $(BUILD)
 test: $(INSTALLED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy & $(BIN)/pytest -q -m compiles; tests=$$?; wait $$! && exit $$tests
+	$(BIN)/mypy & $(BIN)/pytest -q -m compiles $$(grep -rl --include=*.py mark.compiles tests); tests=$$?; wait $$! && exit $$tests
 	$(BIN)/pytest -n 3 --dist worksteal -m "not compiles and not thorough"
 
 test-lowest:

@@ -38,7 +38,7 @@ from rigtool.experiments.plant.procedure_excitation import (
 from rigtool.experiments.procedure import Procedure
 from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
 from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
-from rigtool.experiments.torque_constant.staircase_model import HEATING_TIME
+from rigtool.experiments.torque_constant.staircases.model import HEATING_TIME
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs.virtual.maps import rotor_map

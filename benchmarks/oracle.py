@@ -28,7 +28,7 @@ from scipy.signal import butter, sosfilt, sosfiltfilt
 
 from rigtool.experiments.force_filter.estimate import Filter, Signals
 from rigtool.experiments.force_filter.kalman import Uncertainty
-from rigtool.experiments.force_filter.plant import Plant, dahl
+from rigtool.experiments.force_filter.plant import Plant
 from rigtool.experiments.force_filter.smoothed import smoothed
 from rigtool.recipe import Recipe, load_recipe
 from rigtool.recipe.commands import ForceMotion
@@ -331,7 +331,9 @@ def motion_states(recorded: Recorded) -> dict[str, NDArray[np.bool_]]:
 def _bristle(path: Array, presliding_angle: float) -> Array:
     bent = np.zeros(path.size)
     for k in range(1, path.size):
-        bent[k] = dahl(bent[k - 1], path[k] - path[k - 1], presliding_angle)
+        step = path[k] - path[k - 1]
+        side = math.copysign(1.0, step)
+        bent[k] = side - (side - bent[k - 1]) * math.exp(-abs(step) / presliding_angle)
     return bent
 
 

@@ -35,7 +35,14 @@ from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter import passed
 from rigtool.experiments.force_filter.interval import truncated
-from rigtool.experiments.force_filter.linear import ROW_LENGTH, forwards
+from rigtool.experiments.force_filter.joint_covariance import (
+    JOINT_LENGTH,
+    at,
+    propagate,
+    remove,
+    renew,
+)
+from rigtool.experiments.force_filter.linear import ROW_LENGTH
 from rigtool.experiments.force_filter.plant import (
     ANGLE,
     BRISTLE,
@@ -45,7 +52,6 @@ from rigtool.experiments.force_filter.plant import (
     GRASPER_SPEED,
     HOUSING,
     LOAD,
-    MOVING_STATES,
     NOISE,
     SINE,
     SPEED,
@@ -75,9 +81,6 @@ FOLLOWED = (ANGLE, SPEED, HOUSING, SINE, COSINE, TORQUE)
 FIRST_GAIN = 3
 OUTPUTS = FIRST_GAIN + len(FOLLOWED)
 """Columns of the outputs: the first gain, and how many there are."""
-
-SPARE_ROW = passed.JOINT_STATES * ROW_LENGTH
-"""A row behind the joint covariance, to compute with."""
 
 LEAST_VARIANCE = 1e-3
 """Smallest variance of the angle after an update, relative to before: it stays positive."""
@@ -173,38 +176,6 @@ def _level(s: Record) -> float:
 
 
 @compiled
-def _at(i: int, j: int) -> int:
-    """Return where an element of the covariance is."""
-    return i * ROW_LENGTH + j
-
-
-@compiled
-def _propagate(rows: Array, turned: Array, factors: Array, samples: int, kept: float) -> None:
-    """Multiply the joint covariance by a step's derivative from both sides.
-
-    The rows that move first; then their columns, as rows of the transpose. q has moved before.
-    `kept` is what remains of the noise; `turned` (12 * ROW_LENGTH,) is overwritten.
-    """
-    for k in range(samples):
-        forwards(rows, ROW_LENGTH, factors, k)
-    for m in range(STATES):
-        for i in range(MOVING_STATES):
-            turned[_at(m, i)] = rows[_at(i, m)]
-    for k in range(samples):
-        forwards(turned, MOVING_STATES + 1, factors, k)
-    for i in range(MOVING_STATES):
-        for j in range(i + 1):
-            rows[_at(i, j)] = rows[_at(j, i)] = turned[_at(i, j)]
-        rows[_at(i, NOISE)] *= kept
-        for j in range(MOVING_STATES, passed.JOINT_STATES):
-            rows[_at(j, i)] = rows[_at(i, j)]
-    for j in range(MOVING_STATES, passed.JOINT_STATES):
-        rows[_at(NOISE, j)] *= kept
-        rows[_at(j, NOISE)] = rows[_at(NOISE, j)]
-    rows[_at(NOISE, NOISE)] *= kept
-
-
-@compiled
 def _predict(
     s: Record,
     p: Record,
@@ -229,13 +200,13 @@ def _predict(
     x, samples = s.mean, torque.shape[1]
     span = samples * p.sample_time
     passed.predict(s.passed, rows, low_pass, x[TORQUE])
-    spread = u.undecided * math.sqrt(rows[_at(SPEED, SPEED)])
-    outer = u.undecided * math.sqrt(rows[_at(GRASPER_SPEED, GRASPER_SPEED)])
+    spread = u.undecided * math.sqrt(rows[at(SPEED, SPEED)])
+    outer = u.undecided * math.sqrt(rows[at(GRASPER_SPEED, GRASPER_SPEED)])
     for i in range(samples):
         advance(x, p, friction_map, torque[k, i], viscous[k, i], factors, i, spread, outer)
     x[NOISE] *= kept
-    _propagate(rows, turned, factors, samples, kept)
-    rows[_at(NOISE, NOISE)] += u.friction_noise**2 * (1.0 - kept * kept)
+    propagate(rows, turned, factors, samples, kept)
+    rows[at(NOISE, NOISE)] += u.friction_noise**2 * (1.0 - kept * kept)
     level = max(least, _level(s))
     walk = u.torque_rate
     if level > 1.0:
@@ -244,54 +215,23 @@ def _predict(
         walk = u.slow_torque_rate
     s.step_left -= span
     s.slow_left -= span
-    rows[_at(TORQUE, TORQUE)] += walk * walk * span
-    rows[_at(ANGLE, ANGLE)] += u.angle_rate**2 * span
-    rows[_at(SPEED, SPEED)] += u.speed_rate**2 * span
-    rows[_at(GRASPER_SPEED, GRASPER_SPEED)] += u.speed_rate**2 * span
-    rows[_at(GRASPER, GRASPER)] += u.grasper_rate**2 * span
-    rows[_at(BRISTLE, BRISTLE)] += u.bristle_rate**2 * span
-    rows[_at(HOUSING, HOUSING)] += u.slip_rate**2 * span
-    rows[_at(TIP, TIP)] += u.slip_rate**2 * span
+    rows[at(TORQUE, TORQUE)] += walk * walk * span
+    rows[at(ANGLE, ANGLE)] += u.angle_rate**2 * span
+    rows[at(SPEED, SPEED)] += u.speed_rate**2 * span
+    rows[at(GRASPER_SPEED, GRASPER_SPEED)] += u.speed_rate**2 * span
+    rows[at(GRASPER, GRASPER)] += u.grasper_rate**2 * span
+    rows[at(BRISTLE, BRISTLE)] += u.bristle_rate**2 * span
+    rows[at(HOUSING, HOUSING)] += u.slip_rate**2 * span
+    rows[at(TIP, TIP)] += u.slip_rate**2 * span
     turned_back = x[HOUSING] * s.direction < -0.5
     if turned_back:
         s.direction = -s.direction
     if turned_back or limits:
         for i in (SINE, COSINE, LOAD):
-            deviation = u.load_stroke if i == LOAD else u.stroke
             x[i] = 0.0
-            for j in range(passed.JOINT_STATES):
-                rows[_at(i, j)] = rows[_at(j, i)] = 0.0
-            rows[_at(i, i)] = deviation * deviation
+            renew(rows, i, u.load_stroke if i == LOAD else u.stroke)
         return True
     return False
-
-
-@compiled
-def _remove(rows: Array, gain: Array, scale: float) -> None:
-    """Take scale^2 gain gain' off the joint covariance."""
-    # written out, so that a processor does all rows of eight columns at once
-    g0, g1, g2, g3 = scale * gain[0], scale * gain[1], scale * gain[2], scale * gain[3]
-    g4, g5, g6, g7 = scale * gain[4], scale * gain[5], scale * gain[6], scale * gain[7]
-    g8, g9, g10, g11 = scale * gain[8], scale * gain[9], scale * gain[10], scale * gain[11]
-    g12, g13 = scale * gain[12], scale * gain[13]
-    for j in range(ROW_LENGTH):
-        rows[SPARE_ROW + j] = scale * gain[j]
-    for j in range(ROW_LENGTH):
-        g = rows[SPARE_ROW + j]
-        rows[j] -= g0 * g
-        rows[ROW_LENGTH + j] -= g1 * g
-        rows[2 * ROW_LENGTH + j] -= g2 * g
-        rows[3 * ROW_LENGTH + j] -= g3 * g
-        rows[4 * ROW_LENGTH + j] -= g4 * g
-        rows[5 * ROW_LENGTH + j] -= g5 * g
-        rows[6 * ROW_LENGTH + j] -= g6 * g
-        rows[7 * ROW_LENGTH + j] -= g7 * g
-        rows[8 * ROW_LENGTH + j] -= g8 * g
-        rows[9 * ROW_LENGTH + j] -= g9 * g
-        rows[10 * ROW_LENGTH + j] -= g10 * g
-        rows[11 * ROW_LENGTH + j] -= g11 * g
-        rows[12 * ROW_LENGTH + j] -= g12 * g
-        rows[13 * ROW_LENGTH + j] -= g13 * g
 
 
 @compiled
@@ -330,16 +270,16 @@ def _update(
     states and q; of the sums of corrections, and of the busy part, `memory` remains.
     """
     x = s.mean
-    variance = rows[_at(ANGLE, ANGLE)] + (u.edge * width) ** 2
+    variance = rows[at(ANGLE, ANGLE)] + (u.edge * width) ** 2
     shift, left = _shown(s, u, x[ANGLE], variance, low, width)
     weight, mean = 1.0 - left, shift / math.sqrt(variance)
     for i in range(ROW_LENGTH):
-        gain[i] = rows[_at(ANGLE, i)] / variance
+        gain[i] = rows[at(ANGLE, i)] / variance
     for i in range(STATES):
         x[i] += gain[i] * shift
     for i in range(passed.LOW_PASS_ORDER):
         s.passed[i] += gain[STATES + i] * shift
-    _remove(rows, gain, math.sqrt(variance * max(weight, 0.0)))
+    remove(rows, gain, math.sqrt(variance * max(weight, 0.0)))
     for i in (BRISTLE, HOUSING, TIP):
         x[i] = min(max(x[i], -1.0), 1.0)
     s.step_sum = memory[0] * s.step_sum + mean * span
@@ -352,7 +292,7 @@ def _update(
     if low != s.low and idle:
         s.slow_left = max(s.slow_left, u.busy_time)
     s.low, s.angle = low, x[ANGLE]
-    s.variance = rows[_at(ANGLE, ANGLE)] + (u.edge * width) ** 2
+    s.variance = rows[at(ANGLE, ANGLE)] + (u.edge * width) ** 2
     return shift / variance, weight, variance
 
 
@@ -384,7 +324,7 @@ def run(
     """
     s, p, u = state[0], plant[0], uncertainty[0]
     samples = torque.shape[1]
-    rows, turned = np.zeros(SPARE_ROW + ROW_LENGTH), np.zeros(STATES * ROW_LENGTH)
+    rows, turned = np.zeros(JOINT_LENGTH), np.zeros(STATES * ROW_LENGTH)
     gain, shared, factors = (
         np.empty(ROW_LENGTH),
         np.empty(STATES),
@@ -395,7 +335,7 @@ def run(
     kept = math.exp(-span / u.friction_noise_time)
     for i in range(passed.JOINT_STATES):
         for j in range(ROW_LENGTH):
-            rows[_at(i, j)] = s.covariance[i, j]
+            rows[at(i, j)] = s.covariance[i, j]
     for k in range(torque.shape[0]):
         began = _predict(
             s,
@@ -429,8 +369,8 @@ def run(
             fresh[k] = began
             correction[k], weight[k], variance[k] = moved, informed, before
             for i in range(STATES):
-                gains[k, i], torque_row[k, i] = gain[i], rows[_at(TORQUE, i)]
+                gains[k, i], torque_row[k, i] = gain[i], rows[at(TORQUE, i)]
                 passed_row[k, i] = shared[i]
     for i in range(passed.JOINT_STATES):
         for j in range(ROW_LENGTH):
-            s.covariance[i, j] = rows[_at(i, j)]
+            s.covariance[i, j] = rows[at(i, j)]

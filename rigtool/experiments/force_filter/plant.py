@@ -93,13 +93,6 @@ def as_record(parameters: Any) -> NDArray[np.void]:
 
 
 @compiled
-def dahl(deflection: float, path: float, presliding_angle: float) -> float:
-    """Return a bristle's deflection after a path in one direction, exactly."""
-    side = 1.0 if path > 0.0 else -1.0
-    return side - (side - deflection) * math.exp(-abs(path) / presliding_angle)
-
-
-@compiled
 def _bend(z: float, speed: float, dt: float, x0: float, spread: float) -> tuple[float, ...]:
     """Return a bristle one sample later, and its derivatives by itself and by the speed.
 

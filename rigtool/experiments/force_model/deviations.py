@@ -84,6 +84,7 @@ def deviations(
 
     None where no stroke is long enough, or is made three times.
     """
+    from scipy.linalg.lapack import dtrtrs
     from scipy.optimize import minimize
 
     strokes = [s for r in records if r.cycles > 2 for s in _strokes(r, angle_ratio, torque_factor)]
@@ -103,10 +104,11 @@ def deviations(
         for s in strokes:
             whole = (1 - kept / s.count) * (stroke * s.alike + load * s.loaded)
             whole += (1 - 1 / s.count) * noise * np.exp(-s.apart / memory)
-            whole[np.diag_indices_from(whole)] += white + swing * (s.moment / largest) ** 2
+            whole.flat[:: len(whole) + 1] += white + swing * (s.moment / largest) ** 2
             factor = np.linalg.cholesky(whole)
-            total += len(s.own) * 2 * float(np.sum(np.log(np.diag(factor))))
-            total += float(np.sum(s.own.T * np.linalg.solve(whole, s.own.T)))
+            total += len(s.own) * 2 * float(np.sum(np.log(factor.diagonal())))
+            rest, _ = dtrtrs(factor.T, s.own.T, trans=1)
+            total += float(np.sum(rest**2))
         return total
 
     found = minimize(cost, start, method="Nelder-Mead", options={"maxiter": 800, "fatol": 0.5})

@@ -15,8 +15,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.torque_constant.measured_levels import find_levels, settled_parts
-from rigtool.experiments.torque_constant.swings import friction_state
+from rigtool.experiments.torque_constant.staircases.measured_levels import (
+    find_levels,
+    settled_parts,
+)
+from rigtool.experiments.torque_constant.staircases.swings import friction_state
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, require_signals
 

@@ -21,13 +21,13 @@ from rigtool.experiments.imported import moves, place, position_of, rig_property
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.torque_constant.current_levels import CurrentFit, fit_constant
 from rigtool.experiments.torque_constant.current_points import Course, find_points
-from rigtool.experiments.torque_constant.measured_levels import (
+from rigtool.experiments.torque_constant.results import outcome_of
+from rigtool.experiments.torque_constant.staircases.measured_levels import (
     common_levels,
     find_levels,
     stepped,
 )
-from rigtool.experiments.torque_constant.results import outcome_of
-from rigtool.experiments.torque_constant.staircase import (
+from rigtool.experiments.torque_constant.staircases.plateaus import (
     Plateaus,
     plateaus_of_set_point,
     pool,

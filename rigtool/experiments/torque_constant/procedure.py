@@ -12,7 +12,7 @@ from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_constant.imported import analyse_imported
 from rigtool.experiments.torque_constant.results import outcome_of
-from rigtool.experiments.torque_constant.staircase import (
+from rigtool.experiments.torque_constant.staircases.plateaus import (
     Plateaus,
     plateaus_of_set_point,
     pool,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.torque_constant.staircase_fit import SAME_TEMPERATURE
+from rigtool.experiments.torque_constant.staircases.fit import SAME_TEMPERATURE
 from rigtool.experiments.torque_constant.temperature_fit import Calibration
 from rigtool.quantity import CURRENT_READING, Component, Quantity, combined, error_line
 from rigtool.runfile import Column, Table, dof_column

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from rigtool.experiments.torque_constant.staircase_fit import SAME_TEMPERATURE, Slopes
+from rigtool.experiments.torque_constant.staircases.fit import SAME_TEMPERATURE, Slopes
 from rigtool.numerics.angle_effects import AngleEffects, fit_angle_effects
 from rigtool.numerics.arrays import TINY, Array
 from rigtool.quantity import Quantity, combined, error_line

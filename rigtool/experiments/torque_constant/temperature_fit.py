@@ -23,11 +23,15 @@ from rigtool.experiments.torque_constant.ripple_over_turn import (
     ripple_over_turn,
     stated_ripple,
 )
-from rigtool.experiments.torque_constant.staircase import Linearity, Plateaus, amplifier_linearity
-from rigtool.experiments.torque_constant.staircase_fit import (
+from rigtool.experiments.torque_constant.staircases.fit import (
     SAME_TEMPERATURE,
     Slopes,
     fit_staircases,
+)
+from rigtool.experiments.torque_constant.staircases.plateaus import (
+    Linearity,
+    Plateaus,
+    amplifier_linearity,
 )
 from rigtool.numerics.angle_effects import fit_angle_effects
 from rigtool.numerics.arrays import Array

@@ -1,5 +1,7 @@
 """A plant for the tests of this room: of the size of a small motor with an instrument."""
 
+import math
+
 import numpy as np
 
 from rigtool.experiments.force_filter.kalman import Uncertainty
@@ -36,3 +38,9 @@ PLANT = Plant(
 UNCERTAINTY = Uncertainty(
     stroke=0.3e-3, load_stroke=0.01, friction_noise=0.1e-3, friction_noise_time=0.15
 )
+
+
+def dahl(deflection, path, presliding_angle):
+    """Return a bristle's deflection after a path in one direction, exactly."""
+    side = math.copysign(1.0, path)
+    return side - (side - deflection) * math.exp(-abs(path) / presliding_angle)

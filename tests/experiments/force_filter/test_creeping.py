@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rigtool.experiments.force_filter.creeping import RESTED_TIME, Creeping
-from rigtool.experiments.force_filter.plant import dahl
+from tests.experiments.force_filter.plants import dahl
 
 STEP, COUNT, LENGTH = 1e-3, 1.6e-3, 8e-3
 NEVER = np.zeros(4000, dtype=bool)

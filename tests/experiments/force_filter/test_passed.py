@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.signal import butter, lfilter, sosfiltfilt
 
 from rigtool.experiments.force_filter import passed
-from rigtool.experiments.force_filter.kalman import _propagate, _remove
+from rigtool.experiments.force_filter.joint_covariance import propagate, remove
 from rigtool.experiments.force_filter.linear import ROW_LENGTH, forwards
 from rigtool.experiments.force_filter.passed import JOINT_STATES
 from rigtool.experiments.force_filter.plant import ANGLE, FACTOR_COUNT, NOISE, STATES, TORQUE
@@ -66,7 +66,7 @@ def test_it_is_one_kalman_filter_over_all_states(seed, bandwidth_hz):
     step[Q, Q], step[Q, TORQUE] = section[:-1, :-1], section[:-1, -1]
     flat, q = rows.ravel(), mean[Q].copy()
     passed.predict(q, flat, section, mean[TORQUE])
-    _propagate(flat, np.zeros(STATES * ROW_LENGTH), factors, 3, KEPT)
+    propagate(flat, np.zeros(STATES * ROW_LENGTH), factors, 3, KEPT)
     np.testing.assert_allclose(q, (step @ mean)[Q], rtol=1e-9, atol=1e-9)
     expected = step @ covariance @ step.T
     scale = np.sqrt(np.diag(expected))
@@ -78,5 +78,5 @@ def test_it_is_one_kalman_filter_over_all_states(seed, bandwidth_hz):
     variance, share = found[ANGLE, ANGLE], 0.6
     gain = rows[ANGLE] / variance
     expected = found - np.outer(gain, gain)[:JOINT_STATES, :JOINT_STATES] * variance * share
-    _remove(flat, gain, np.sqrt(variance * share))
+    remove(flat, gain, np.sqrt(variance * share))
     np.testing.assert_allclose(found / scale, expected / scale, rtol=0, atol=1e-9 * scale.max())

@@ -22,11 +22,11 @@ from rigtool.experiments.force_filter.plant import (
     TIP,
     TORQUE,
     Plant,
+    _bend,
     advance,
     as_record,
-    dahl,
 )
-from tests.experiments.force_filter.plants import PLANT
+from tests.experiments.force_filter.plants import PLANT, dahl
 
 EYE = np.eye(STATES)
 
@@ -63,13 +63,13 @@ def test_a_bristle_bends_as_its_differential_equation_says(z, path, x0):
     exact = solve_ivp(
         lambda _, bent: side * (1 - side * bent) / x0, (0, abs(path)), [z], rtol=1e-10, atol=1e-12
     )
-    found = dahl(z, path, x0)
+    found = _bend(z, path, 1.0, x0, 0.0)[0]
     assert found == pytest.approx(exact.y[0, -1], rel=1e-7, abs=1e-9)
     assert abs(found) <= 1.0
     # the path counts, not in how many steps it is gone
     parts = z
     for _ in range(7):
-        parts = dahl(parts, path / 7, x0)
+        parts = _bend(parts, path, 1 / 7, x0, 0.0)[0]
     assert parts == pytest.approx(found, rel=1e-9, abs=1e-12)
 
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from rigtool.experiments.force_filter.motion_states import Reach, State
-from rigtool.experiments.force_filter.plant import dahl
 from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
 from rigtool.experiments.force_sensor.sensor import SensorProperties
+from tests.experiments.force_filter.plants import dahl
 
 BEARING, STRIBECK, FACTOR = 4e-3, 2e-3, 1.2
 LENGTH, HOUSING_LENGTH, RESTING = 0.04, 0.5, 0.5

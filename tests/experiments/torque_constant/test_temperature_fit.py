@@ -13,24 +13,24 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.torque_constant.mean_staircases import MeanStaircases
 from rigtool.experiments.torque_constant.ripple_over_turn import (
     first_ripple,
     ripple_over_turn,
     stated_ripple,
 )
-from rigtool.experiments.torque_constant.staircase import (
-    Linearity,
-    amplifier_linearity,
-    plateaus_of_set_point,
-)
-from rigtool.experiments.torque_constant.staircase_fit import (
+from rigtool.experiments.torque_constant.staircases.fit import (
     _solve,
     _trend_scatter,
     fit_staircases,
 )
-from rigtool.experiments.torque_constant.staircase_levels import off_trend
-from rigtool.experiments.torque_constant.staircase_model import HEATING_TIME, Common, arrange
+from rigtool.experiments.torque_constant.staircases.levels import off_trend
+from rigtool.experiments.torque_constant.staircases.mean_staircases import MeanStaircases
+from rigtool.experiments.torque_constant.staircases.model import HEATING_TIME, Common, arrange
+from rigtool.experiments.torque_constant.staircases.plateaus import (
+    Linearity,
+    amplifier_linearity,
+    plateaus_of_set_point,
+)
 from rigtool.experiments.torque_constant.temperature_fit import (
     Calibration,
     _fit_temperature,
@@ -40,7 +40,7 @@ from rigtool.experiments.torque_constant.temperature_fit import (
 from rigtool.numerics.angle_effects import AngleEffects
 from rigtool.numerics.turn_mean import mean_over_turn
 from rigtool.quantity import Quantity
-from tests.experiments.torque_constant.staircases import Bench
+from tests.experiments.torque_constant.bench import Bench
 
 ARM = {"arm_length_u": 0.2e-3, "gauge_relative_u": 3e-4, "reference_range_degc": (20.0, 35.0)}
 

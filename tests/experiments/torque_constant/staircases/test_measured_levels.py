@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.torque_constant.measured_levels import (
+from rigtool.experiments.torque_constant.staircases.measured_levels import (
     common_levels,
     find_levels,
     settled_parts,

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.testing import assert_allclose
 
-from rigtool.experiments.torque_constant.staircase_model import winding
+from rigtool.experiments.torque_constant.staircases.model import winding
 
 COPPER = 3.93e-3  # 1/K, IEC 60028
 TIME_CONSTANT = 29.0

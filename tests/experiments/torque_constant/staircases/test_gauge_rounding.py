@@ -8,16 +8,16 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import norm
 
-from rigtool.experiments.torque_constant import staircase_fit
-from rigtool.experiments.torque_constant.gauge_rounding import (
+from rigtool.experiments.torque_constant.staircases import fit
+from rigtool.experiments.torque_constant.staircases.gauge_rounding import (
     GAUGE_PHASES,
     rounding_errors,
     spread_over_zeros,
 )
-from rigtool.experiments.torque_constant.hypotheses import weigh_hypotheses
-from rigtool.experiments.torque_constant.staircase import plateaus_of_set_point
-from rigtool.experiments.torque_constant.staircase_model import arrange
-from tests.experiments.torque_constant.staircases import Bench
+from rigtool.experiments.torque_constant.staircases.hypotheses import weigh_hypotheses
+from rigtool.experiments.torque_constant.staircases.model import arrange
+from rigtool.experiments.torque_constant.staircases.plateaus import plateaus_of_set_point
+from tests.experiments.torque_constant.bench import Bench
 
 STEP = 0.011
 """Of the gauge, N: 30 in a staircase."""
@@ -93,10 +93,8 @@ def test_hypotheses_are_spread_over_zeros_where_the_gauge_is_coarse(monkeypatch,
     force = np.round(signals["force"] / step) * step
     channels = {**signals, "force": force}
     plateaus = plateaus_of_set_point(**channels, arm_length=0.54, settle_time=0.08)
-    monkeypatch.setattr(
-        staircase_fit, "spread_over_zeros", lambda *given: asked.append(given) or 7e-3
-    )
-    found = staircase_fit.fit_staircases(plateaus)
+    monkeypatch.setattr(fit, "spread_over_zeros", lambda *given: asked.append(given) or 7e-3)
+    found = fit.fit_staircases(plateaus)
     if not coarse:
         assert not asked
         assert found.resolution_u < 1e-3

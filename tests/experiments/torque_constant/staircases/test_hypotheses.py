@@ -6,16 +6,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rigtool.experiments.torque_constant import hypotheses
-from rigtool.experiments.torque_constant.hypotheses import _ranges, _search, weighed
-from rigtool.experiments.torque_constant.staircase import plateaus_of_set_point
-from rigtool.experiments.torque_constant.staircase_fit import fit_staircases
-from rigtool.experiments.torque_constant.winding_time import (
+from rigtool.experiments.torque_constant.staircases import hypotheses
+from rigtool.experiments.torque_constant.staircases.fit import fit_staircases
+from rigtool.experiments.torque_constant.staircases.hypotheses import _ranges, _search, weighed
+from rigtool.experiments.torque_constant.staircases.plateaus import plateaus_of_set_point
+from rigtool.experiments.torque_constant.staircases.winding_time import (
     LONGEST_TIME_CONSTANT,
     SHORTEST_TIME_CONSTANT,
     WindingTime,
 )
-from tests.experiments.torque_constant.staircases import Bench
+from tests.experiments.torque_constant.bench import Bench
 
 
 def test_friction_is_tried_as_well_with_every_time_constant(monkeypatch):

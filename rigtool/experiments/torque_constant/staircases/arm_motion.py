@@ -21,7 +21,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rigtool.experiments.torque_constant.swings import LARGEST_DAMPING, Courses, longest_lag
+from rigtool.experiments.torque_constant.staircases.swings import (
+    LARGEST_DAMPING,
+    Courses,
+    longest_lag,
+)
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
 

@@ -1,6 +1,6 @@
 """Torque constant of each staircase, with friction and heat taken out of the slope [7.1.1].
 
-The model is equation (1) of `rigtool.experiments.torque_constant.staircase_model`.
+The model is equation (1) of `rigtool.experiments.torque_constant.staircases.model`.
 """
 
 from __future__ import annotations
@@ -10,10 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rigtool.experiments.torque_constant.gauge_rounding import rounding_errors, spread_over_zeros
-from rigtool.experiments.torque_constant.hypotheses import loss_by_heat, weigh_hypotheses
-from rigtool.experiments.torque_constant.staircase import Plateaus
-from rigtool.experiments.torque_constant.staircase_levels import (
+from rigtool.experiments.torque_constant.staircases.gauge_rounding import (
+    rounding_errors,
+    spread_over_zeros,
+)
+from rigtool.experiments.torque_constant.staircases.hypotheses import loss_by_heat, weigh_hypotheses
+from rigtool.experiments.torque_constant.staircases.levels import (
     branches,
     deflection,
     hysteresis,
@@ -21,13 +23,14 @@ from rigtool.experiments.torque_constant.staircase_levels import (
     off_trend,
     straight_slope,
 )
-from rigtool.experiments.torque_constant.staircase_model import (
+from rigtool.experiments.torque_constant.staircases.model import (
     Stairs,
     arrange,
     mean_of,
     winding,
 )
-from rigtool.experiments.torque_constant.staircase_refusals import (
+from rigtool.experiments.torque_constant.staircases.plateaus import Plateaus
+from rigtool.experiments.torque_constant.staircases.refusals import (
     require_dithered,
     require_resolution,
     require_shown,

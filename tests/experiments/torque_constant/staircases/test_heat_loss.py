@@ -5,8 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rigtool.experiments.torque_constant.hypotheses import LAW, Weighed, _untried, loss_by_heat
-from rigtool.experiments.torque_constant.staircase_model import HEATING_TIME, Common
+from rigtool.experiments.torque_constant.staircases.hypotheses import (
+    LAW,
+    Weighed,
+    _untried,
+    loss_by_heat,
+)
+from rigtool.experiments.torque_constant.staircases.model import HEATING_TIME, Common
 
 BEST = Common(0.02, 1.0, 0.1, 30.0)
 

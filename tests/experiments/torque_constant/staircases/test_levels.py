@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.torque_constant.staircase_levels import (
+from rigtool.experiments.torque_constant.staircases.levels import (
     DEFLECTION_U,
     branches,
     by_level,
@@ -19,7 +19,7 @@ from rigtool.experiments.torque_constant.staircase_levels import (
     off_trend,
     straight_slope,
 )
-from rigtool.experiments.torque_constant.staircase_refusals import (
+from rigtool.experiments.torque_constant.staircases.refusals import (
     require_dithered,
     require_resolution,
     require_shown,

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.torque_constant.measured_levels import common_levels
-from rigtool.experiments.torque_constant.staircase_model import Stairs, mean_of
+from rigtool.experiments.torque_constant.staircases.measured_levels import common_levels
+from rigtool.experiments.torque_constant.staircases.model import Stairs, mean_of
 from rigtool.numerics.arrays import TINY, Array
 
 DEFLECTION_U = 0.02

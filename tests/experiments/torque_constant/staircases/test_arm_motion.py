@@ -7,8 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
-from rigtool.experiments.torque_constant.arm_motion import Arm, Contacts, arm_of
-from rigtool.experiments.torque_constant.swings import mean_courses
+from rigtool.experiments.torque_constant.staircases.arm_motion import Arm, Contacts, arm_of
+from rigtool.experiments.torque_constant.staircases.swings import mean_courses
 
 PARTS, TIME = 96, 0.4
 LEVELS = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0, 0.0])

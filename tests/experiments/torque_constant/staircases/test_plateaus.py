@@ -8,7 +8,8 @@ import pytest
 from scipy.stats import linregress
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.torque_constant.staircase import (
+from rigtool.experiments.torque_constant.staircases.model import _course_noise, arrange
+from rigtool.experiments.torque_constant.staircases.plateaus import (
     ALIKE,
     SWING_PARTS,
     _course,
@@ -18,8 +19,7 @@ from rigtool.experiments.torque_constant.staircase import (
     plateaus_of_set_point,
     pool,
 )
-from rigtool.experiments.torque_constant.staircase_model import _course_noise, arrange
-from tests.experiments.torque_constant.staircases import Bench
+from tests.experiments.torque_constant.bench import Bench
 
 
 @pytest.mark.parametrize("step", [1e-3, 0.25])

@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.torque_constant.staircase import Plateaus
-from rigtool.experiments.torque_constant.staircase_levels import (
+from rigtool.experiments.torque_constant.staircases.levels import (
     branches,
     by_level,
     hysteresis,
@@ -16,7 +15,8 @@ from rigtool.experiments.torque_constant.staircase_levels import (
     lines_through,
     straight_slope,
 )
-from rigtool.experiments.torque_constant.staircase_model import Stairs, mean_of
+from rigtool.experiments.torque_constant.staircases.model import Stairs, mean_of
+from rigtool.experiments.torque_constant.staircases.plateaus import Plateaus
 from rigtool.numerics.arrays import Array
 
 MISFIT_LIMIT = 5e-3

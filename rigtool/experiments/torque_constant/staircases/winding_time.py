@@ -6,7 +6,7 @@ temperature T in a staircase is
     T = a + b t - integral of T dt / tau_h + q r W(t),   W = integral of w dt,   q >= 0
 
 with a and b of each staircase, w the heat in the winding of (1) in
-`rigtool.experiments.torque_constant.staircase_model`, and r the heat that the current brings in
+`rigtool.experiments.torque_constant.staircases.model`, and r the heat that the current brings in
 each. The size q of the warming depends on the housing; the shape of W shows tau. A sensor follows
 the housing with a lag, whose values are averaged over. The winding follows the housing as that
 warms: tau comes out short by the ratio of their heat capacities, which nothing else shows. The
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rigtool.experiments.torque_constant.staircase_model import COPPER_COEFFICIENT, Stairs
+from rigtool.experiments.torque_constant.staircases.model import COPPER_COEFFICIENT, Stairs
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.residual_covariance import independent_samples
 

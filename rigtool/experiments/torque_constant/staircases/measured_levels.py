@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.torque_constant.staircase import LEVEL_TOLERANCE
+from rigtool.experiments.torque_constant.staircases.plateaus import LEVEL_TOLERANCE
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.plateaus import find_plateaus
 

@@ -6,18 +6,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rigtool.experiments.torque_constant.arm_motion import Arm, Contacts
-from rigtool.experiments.torque_constant.hypotheses import weigh_hypotheses
-from rigtool.experiments.torque_constant.mean_staircases import MeanStaircases
-from rigtool.experiments.torque_constant.staircase import plateaus_of_set_point
-from rigtool.experiments.torque_constant.staircase_model import Common, arrange, winding
-from rigtool.experiments.torque_constant.swings import (
+from rigtool.experiments.torque_constant.staircases.arm_motion import Arm, Contacts
+from rigtool.experiments.torque_constant.staircases.hypotheses import weigh_hypotheses
+from rigtool.experiments.torque_constant.staircases.mean_staircases import MeanStaircases
+from rigtool.experiments.torque_constant.staircases.model import Common, arrange, winding
+from rigtool.experiments.torque_constant.staircases.plateaus import plateaus_of_set_point
+from rigtool.experiments.torque_constant.staircases.swings import (
     friction_state,
     mean_courses,
     straight_path,
 )
 from rigtool.numerics.residual_covariance import independent_samples
-from tests.experiments.torque_constant.staircases import Bench
+from tests.experiments.torque_constant.bench import Bench
 
 
 def test_friction_is_the_bench_s_and_none_where_a_hypothesis_has_none():

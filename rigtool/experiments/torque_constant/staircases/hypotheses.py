@@ -2,7 +2,7 @@
 
 A hypothesis is a transition s of friction, a lag of the arm's swings and a time constant tau of the
 winding. On the mean staircases it leaves, by least squares in all else of (1) of
-`rigtool.experiments.torque_constant.staircase_model`, a sum of squares Q. Where the size of the
+`rigtool.experiments.torque_constant.staircases.model`, a sum of squares Q. Where the size of the
 scatter is unknown, its probability for n independent residuals is
 
     p = Q^(-n/2) / sum over all hypotheses,
@@ -21,7 +21,7 @@ Loss of the torque constant by a current that lasts:
 
     loss = mean over hypotheses of g tau (1 - exp(-t/tau)),   t = HEATING_TIME
 
-with g of (1) in `rigtool.experiments.torque_constant.staircase_model`. A staircase shows how much
+with g of (1) in `rigtool.experiments.torque_constant.staircases.model`. A staircase shows how much
 its own heat takes, and little of a time constant tau beyond its length: the loss by a lasting
 current is an extrapolation along tau. Where friction is large, an error of its law passes for
 another tau: friction that falls with speed is less in the swings than where the arm rests. What a
@@ -37,10 +37,10 @@ from itertools import product
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.torque_constant.mean_staircases import MeanStaircases
-from rigtool.experiments.torque_constant.staircase_model import Common, Stairs
-from rigtool.experiments.torque_constant.swings import longest_lag
-from rigtool.experiments.torque_constant.winding_time import FEWEST_RESIDUALS
+from rigtool.experiments.torque_constant.staircases.mean_staircases import MeanStaircases
+from rigtool.experiments.torque_constant.staircases.model import Common, Stairs
+from rigtool.experiments.torque_constant.staircases.swings import longest_lag
+from rigtool.experiments.torque_constant.staircases.winding_time import FEWEST_RESIDUALS
 from rigtool.numerics.arrays import TINY, Array
 
 LONGEST_TRANSITION = 10.0

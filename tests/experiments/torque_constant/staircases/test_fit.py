@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import linalg, stats
 
-from rigtool.experiments.torque_constant.staircase_fit import (
+from rigtool.experiments.torque_constant.staircases.fit import (
     _about,
     _bend,
     _heat_loss,

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from rigtool.experiments.torque_constant.staircase import plateaus_of_set_point
-from rigtool.experiments.torque_constant.staircase_fit import fit_staircases
-from rigtool.experiments.torque_constant.staircase_model import arrange
-from rigtool.experiments.torque_constant.winding_time import (
+from rigtool.experiments.torque_constant.staircases.fit import fit_staircases
+from rigtool.experiments.torque_constant.staircases.model import arrange
+from rigtool.experiments.torque_constant.staircases.plateaus import plateaus_of_set_point
+from rigtool.experiments.torque_constant.staircases.winding_time import (
     LONGEST_TIME_CONSTANT,
     SHORTEST_TIME_CONSTANT,
     TRIED,
@@ -14,7 +14,7 @@ from rigtool.experiments.torque_constant.winding_time import (
     _flown,
     winding_time,
 )
-from tests.experiments.torque_constant.staircases import Bench
+from tests.experiments.torque_constant.bench import Bench
 
 SHARE = 0.1
 

@@ -13,9 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from rigtool.experiments.torque_constant.hypotheses import weigh_hypotheses
-from rigtool.experiments.torque_constant.staircase import Plateaus
-from rigtool.experiments.torque_constant.staircase_model import Stairs, arrange
+from rigtool.experiments.torque_constant.staircases.hypotheses import weigh_hypotheses
+from rigtool.experiments.torque_constant.staircases.model import Stairs, arrange
+from rigtool.experiments.torque_constant.staircases.plateaus import Plateaus
 from rigtool.numerics.arrays import Array
 
 GAUGE_PHASES = 12

@@ -1,7 +1,7 @@
 """Mean staircases, one of each kind, and what hypotheses about all of them leave.
 
 A hypothesis fixes s, tau, exponent and lag in (1) of
-`rigtool.experiments.torque_constant.staircase_model`; all else is linear there:
+`rigtool.experiments.torque_constant.staircases.model`; all else is linear there:
 
     torque = X(s, tau, e, lag) b + residual,   Q = mean over kinds of sum of residual^2
 """
@@ -14,17 +14,21 @@ from itertools import product
 
 import numpy as np
 
-from rigtool.experiments.torque_constant.arm_motion import Arm, Contacts, arm_of
-from rigtool.experiments.torque_constant.friction_cone import positive, possible
-from rigtool.experiments.torque_constant.staircase_model import (
+from rigtool.experiments.torque_constant.staircases.arm_motion import Arm, Contacts, arm_of
+from rigtool.experiments.torque_constant.staircases.friction_cone import positive, possible
+from rigtool.experiments.torque_constant.staircases.model import (
     Common,
     Stairs,
     mean_of,
     warming,
     winding,
 )
-from rigtool.experiments.torque_constant.swings import friction_state, paths, straight_path
-from rigtool.experiments.torque_constant.winding_time import winding_time
+from rigtool.experiments.torque_constant.staircases.swings import (
+    friction_state,
+    paths,
+    straight_path,
+)
+from rigtool.experiments.torque_constant.staircases.winding_time import winding_time
 from rigtool.numerics.arrays import TINY, Array
 from rigtool.numerics.residual_covariance import independent_samples
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
-from rigtool.experiments.torque_constant.swings import (
+from rigtool.experiments.torque_constant.staircases.swings import (
     _behind,
     _torque_changes,
     friction_state,

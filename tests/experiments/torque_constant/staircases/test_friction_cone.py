@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rigtool.experiments.torque_constant.friction_cone import positive, possible
+from rigtool.experiments.torque_constant.staircases.friction_cone import positive, possible
 
 CASES = [
     ((1.0, 0.2), ((1.0, 0.3), (0.3, 0.5)), 9.0),

@@ -1,0 +1,1 @@
+"""Torque constant of each staircase of current, with friction and heat taken out of its slope."""
