@@ -83,10 +83,10 @@ def curve(
 def peak(
     speed: Array, velocity: float, exponent: float, swing: Array | float
 ) -> tuple[Array, Array]:
-    """Return the mean of exp(-(v/vs)^d) over speeds v about `speed`, and its derivative by vs.
+    """Return the mean of exp(-(v/vs)^d) over speeds v about `speed` (n,), and its derivative by vs.
 
-    Normal, with the standard deviation `swing`; by three points, exact up to the fifth power of v
-    (Gauss-Hermite: Abramowitz and Stegun, Handbook of Mathematical Functions, 1964, 25.4.46).
+    Normal, with the standard deviation `swing`, rad/s; by three points, exact up to the fifth power
+    of v (Gauss-Hermite: Abramowitz and Stegun, Handbook of Mathematical Functions, 1964, 25.4.46).
     """
     value = slope = np.zeros_like(speed)
     for away, share in ((-math.sqrt(3), 1 / 6), (0.0, 2 / 3), (math.sqrt(3), 1 / 6)):
