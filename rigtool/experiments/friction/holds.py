@@ -91,6 +91,11 @@ class Holds:
         """Which holds turn evenly enough for their torque to belong to their speed, (n,)."""
         return (self.shaking <= SHAKING_LIMIT) & (self.uneven <= UNEVEN_LIMIT)
 
+    @property
+    def swing(self) -> Array:
+        """The standard deviation of the speed about its mean, rad/s, (n,)."""
+        return self.shaking * np.abs(self.speed)
+
     def __getitem__(self, chosen: Mask | NDArray[np.intp]) -> Holds:
         return Holds(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 

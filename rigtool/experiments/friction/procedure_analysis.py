@@ -246,7 +246,7 @@ def fit_holds(
     ]
     steady = everything[everything.steady]
     try:
-        return fit_directions(steady.speed, steady.torque, steady.u), steady, notes
+        return fit_directions(steady.speed, steady.torque, steady.u, steady.swing), steady, notes
     except InsufficientDataError as error:
         raise InsufficientDataError("; ".join([*notes, str(error)])) from None
 

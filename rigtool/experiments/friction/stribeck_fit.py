@@ -5,8 +5,9 @@ For one direction, with speed v > 0 and torque f against the motion [7.1.2, 7.2.
     linear:    f = fc + fv v
     Stribeck:  f = fc + (fs - fc) exp(-(v/vs)^d) + fv v
 
-(Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7) 1083-1138, 1994). What both
-directions have in common: `offset`.
+(Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7) 1083-1138, 1994). A shaft whose speed
+swings about v shows the mean of f over these speeds, which `_columns` take. What both directions
+have in common: `offset`.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.friction.direction_fit import DIRECTION_NAMES, DirectionFit, curve
+from rigtool.experiments.friction.direction_fit import DIRECTION_NAMES, DirectionFit, curve, peak
 from rigtool.numerics.arrays import TINY, Array
 from rigtool.numerics.checks import require_signals
 from rigtool.numerics.minimum import minimum
@@ -54,12 +55,20 @@ FEW_SPEEDS = 8
 uncertainties of the points. A curve of four parameters leaves seven points three residuals, and
 the correction of the criterion, 60, would reject one that fits to a fiftieth of the line's."""
 
+SWING_U = 0.2
+"""Relative standard uncertainty of the variance of the speed within holds: what an inertia known to
+a tenth leaves of it."""
+
 FALLING = 4.0
 """Multiple of its uncertainty by which a line may fall with the speed."""
 
 
-def fit_directions(speed: Array, torque: Array, u: Array) -> dict[int, DirectionFit]:
+def fit_directions(
+    speed: Array, torque: Array, u: Array, swing: Array | None = None
+) -> dict[int, DirectionFit]:
     """Return the fit of each direction (+1, -1) that was held, from the means of holds (n,).
+
+    `swing` is the standard deviation of the speed within each hold, rad/s; without it, zero.
 
     One law holds in both directions: where they prefer different ones, the one with the lowest sum
     of criteria is taken of those that both show, since parameters of two models have no mean. A
@@ -67,11 +76,13 @@ def fit_directions(speed: Array, torque: Array, u: Array) -> dict[int, Direction
     and lower: curves as narrow and high as they are seem less determined. Raises
     `InsufficientDataError` where a direction cannot be fitted.
     """
-    fits = _by_direction(speed, torque, u, EXPONENT_LEADS)
+    swing = np.zeros_like(speed) if swing is None else swing
+    holds = speed, torque, u, swing
+    fits = _by_direction(*holds, EXPONENT_LEADS)
     if len(_laws(fits)) > 1:
         unchosen = dict.fromkeys(EXPONENT_LEADS, math.inf)
         shapes = [unchosen, *({exponent: lead} for exponent, lead in EXPONENT_LEADS.items())]
-        common = [_by_direction(speed, torque, u, each) for each in shapes]
+        common = [_by_direction(*holds, each) for each in shapes]
         fits = min(
             (found for found in common if len(_laws(found)) == 1),
             key=lambda found: sum(fit.criterion for fit in found.values()),
@@ -85,7 +96,7 @@ def _laws(fits: Mapping[int, DirectionFit]) -> set[float | None]:
 
 
 def _by_direction(
-    speed: Array, torque: Array, u: Array, shapes: Mapping[float, float]
+    speed: Array, torque: Array, u: Array, swing: Array, shapes: Mapping[float, float]
 ) -> dict[int, DirectionFit]:
     fits, reasons = {}, []
     for sign in DIRECTION_NAMES:
@@ -94,7 +105,7 @@ def _by_direction(
             continue
         signals = speed[chosen] * sign, torque[chosen] * sign, u[chosen]
         try:
-            fits[sign] = fit_direction(*signals, shapes)
+            fits[sign] = fit_direction(*signals, shapes, swing[chosen])
         except InsufficientDataError as error:
             reasons.append(f"{DIRECTION_NAMES[sign]} direction: {error}")
     if reasons or not fits:
@@ -103,18 +114,25 @@ def _by_direction(
 
 
 def fit_direction(
-    speed: Array, torque: Array, u: Array, shapes: Mapping[float, float] = EXPONENT_LEADS
+    speed: Array,
+    torque: Array,
+    u: Array,
+    shapes: Mapping[float, float] = EXPONENT_LEADS,
+    swing: Array | None = None,
 ) -> DirectionFit:
     """Fit friction in one direction by weighted least squares.
 
     `speed` (n,) > 0 in rad/s, `torque` (n,) against the motion with standard uncertainty `u`, N m;
-    `shapes` are the exponents to try, with the lead that each needs.
+    `shapes` are the exponents to try, with the lead that each needs; `swing` (n,) is the standard
+    deviation of the speed in each point, rad/s, zero without it.
     The Stribeck model is chosen only where the Akaike criterion (corrected: Hurvich and Tsai 1989)
     prefers it and all its parameters are determined; else the line is fitted, without the lowest
     speeds where they lie off it. Raises `InsufficientDataError` where
     there are too few speeds.
     """
-    v, f, scatter = mean_by_speed(*require_signals(1, speed=speed, torque=torque, u=u))
+    speed, torque, u = require_signals(1, speed=speed, torque=torque, u=u)
+    v, f, scatter = mean_by_speed(speed, torque, u)
+    s = mean_by_speed(speed, np.zeros_like(speed) if swing is None else swing, u)[1]
     if len(v) < 3 or v.max() < 2 * v.min():
         held = (
             f"one speed, {v[0]:.3g} rad/s, does"
@@ -128,18 +146,18 @@ def fit_direction(
     # Uncertainties from few degrees of freedom are uncertain themselves: weigh in the median.
     weight = 1 / np.sqrt((scatter**2 + np.median(scatter) ** 2) / 2 + 1e-30)
     best = _line(v, f, weight)
-    lowest, needed = _criterion(best, v, f, weight), 0.0
-    curves = {exponent: _stribeck(v, f, weight, exponent) for exponent in shapes}
+    lowest, needed = _criterion(best, v, f, weight, s), 0.0
+    curves = {exponent: _stribeck(v, f, weight, exponent, s) for exponent in shapes}
     for exponent, lead in shapes.items():
         candidate = curves[exponent]
         if candidate is not None:
-            criterion = _criterion(candidate, v, f, weight)
+            criterion = _criterion(candidate, v, f, weight, s)
             if criterion + lead < lowest:
                 best, lowest, needed = candidate, criterion, lead
     if best.exponent is None:
         best = _straight_part(v, f, weight)
         _require_no_fall(best)
-    averaged, own = _averaged(best, curves, v, f, weight)
+    averaged, own = _averaged(best, curves, v, f, weight, s)
     covariance = best.covariance.copy()
     covariance[:2, :2] = own
     return replace(best, averaged=averaged, covariance=covariance, criterion=lowest + needed)
@@ -166,6 +184,7 @@ def _averaged(
     v: Array,
     f: Array,
     weight: Array,
+    swing: Array | float = 0.0,
 ) -> tuple[Array, Array]:
     """Return fc and fv (2,) and their covariance (2, 2), that of each model and between them.
 
@@ -194,11 +213,11 @@ def _averaged(
     velocities = np.geomspace(v.min() / 3, v.max() / 3, OTHER_VELOCITIES)
     for exponent, resolved in curves.items():
         if resolved is not None:
-            rest = (f - resolved.evaluate(v)) * weight
+            rest = (f - resolved.evaluate(v, swing)) * weight
             add(resolved.parameters, resolved.covariance, _akaike(rest, 4, known=few), 1.0)
             continue
         for vs in velocities:
-            design = _columns(v, vs, exponent)
+            design = _columns(v, vs, exponent, swing)
             inverse = np.linalg.pinv(design * weight[:, None])
             found = inverse @ (f * weight)
             if found[2] >= found[0]:
@@ -235,10 +254,11 @@ def _finish(
     f: Array,
     weight: Array,
     exponent: float | None,
+    swing: Array | float = 0.0,
 ) -> DirectionFit:
     """Return a fit with covariance from its Jacobian `design` (n, p)."""
     inverse = np.linalg.pinv(design * weight[:, None])
-    residual = f - curve(parameters, v, exponent)
+    residual = f - curve(parameters, v, exponent, swing)
     dof = len(v) - len(parameters)
     square = float(np.sum((residual * weight) ** 2))
     # Scatter counts where it exceeds the uncertainties of the means (Birge ratio).
@@ -279,27 +299,32 @@ def _straight_part(v: Array, f: Array, weight: Array) -> DirectionFit:
     return _line(v, f, weight)
 
 
-def _stribeck(v: Array, f: Array, weight: Array, exponent: float) -> DirectionFit | None:
+def _stribeck(
+    v: Array, f: Array, weight: Array, exponent: float, swing: Array | float = 0.0
+) -> DirectionFit | None:
     """Fit the Stribeck model; None where the data do not determine its parameters."""
     if len(v) < 6:
         return None
 
     def solve(vs: float) -> Array:
-        scaled = _columns(v, vs, exponent) * weight[:, None]
+        scaled = _columns(v, vs, exponent, swing) * weight[:, None]
         return np.asarray(np.linalg.lstsq(scaled, f * weight)[0], dtype=np.float64)
 
     def misfit(vs: float) -> float:
-        return float(np.sum(((f - _columns(v, vs, exponent) @ solve(vs)) * weight) ** 2))
+        return float(np.sum(((f - _columns(v, vs, exponent, swing) @ solve(vs)) * weight) ** 2))
 
     # The model is linear in all parameters but vs.
     slowest, fastest = v.min() / 3, v.max() / 3
     vs = minimum(misfit, slowest, fastest, points=25)
     coulomb, viscous, static = solve(vs)
-    bump = (static - coulomb) * np.exp(-((v / vs) ** exponent))
-    slope = bump * exponent * (v / vs) ** exponent / vs
-    design = np.column_stack([_columns(v, vs, exponent), slope])
-    fit = _finish(np.array([coulomb, viscous, static, vs]), design, v, f, weight, exponent)
-    covariance = fit.covariance
+    bump, slope = (static - coulomb) * np.array(peak(v, vs, exponent, swing))
+    design = np.column_stack([_columns(v, vs, exponent, swing), slope])
+    parameters = np.array([coulomb, viscous, static, vs])
+    fit = _finish(parameters, design, v, f, weight, exponent, swing)
+    # All holds swing in the same loop: an error of the variance is common to them.
+    by_swing = fit.evaluate(v, swing) - fit.evaluate(v)
+    shift = SWING_U * np.linalg.pinv(design * weight[:, None]) @ (by_swing * weight)
+    covariance = fit.covariance + np.outer(shift, shift)
     rise_u = math.sqrt(covariance[0, 0] + covariance[2, 2] - 2 * covariance[0, 2])
     determined = (
         static - coulomb > DETERMINED_RATIO * rise_u
@@ -307,12 +332,12 @@ def _stribeck(v: Array, f: Array, weight: Array, exponent: float) -> DirectionFi
         and 1.1 * slowest < vs < fastest / 1.1
         and np.count_nonzero(bump * weight > BUMP_SIGNIFICANCE) >= 3
     )
-    return fit if determined else None
+    return replace(fit, covariance=covariance) if determined else None
 
 
-def _columns(v: Array, vs: float, exponent: float) -> Array:
+def _columns(v: Array, vs: float, exponent: float, swing: Array | float) -> Array:
     """Return the columns (n, 3) of fc, fv and fs in a Stribeck curve of this velocity."""
-    bump = np.exp(-((v / vs) ** exponent))
+    bump, _ = peak(v, vs, exponent, swing)
     return np.column_stack([1 - bump, v, bump])
 
 
@@ -324,8 +349,10 @@ def _akaike(residual: Array, parameters: int, *, known: bool) -> float:
     return _corrected(residual, parameters + 1)
 
 
-def _criterion(fit: DirectionFit, v: Array, f: Array, weight: Array) -> float:
-    residual = (f - fit.evaluate(v)) * weight
+def _criterion(
+    fit: DirectionFit, v: Array, f: Array, weight: Array, swing: Array | float = 0.0
+) -> float:
+    residual = (f - fit.evaluate(v, swing)) * weight
     return _akaike(residual, len(fit.parameters), known=len(v) < FEW_SPEEDS)
 
 

@@ -1,5 +1,7 @@
 """Holds, friction models, torque-speed curves and the amplifier at low current."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,12 +11,13 @@ from scipy import stats
 from scipy.optimize import curve_fit
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.friction.holds import find_holds, pool
+from rigtool.experiments.friction.holds import Holds, find_holds, pool
 from rigtool.experiments.friction.low_current import (
     deviation_at_low_current,
     require_calibrated_gain,
 )
 from rigtool.experiments.friction.offset import separate_offset
+from rigtool.experiments.friction.procedure_analysis import fit_holds
 from rigtool.experiments.friction.results import Findings, Scale, add_friction
 from rigtool.experiments.friction.stribeck_fit import (
     fit_direction,
@@ -292,6 +295,44 @@ def test_an_effect_that_one_direction_shows_alone_is_not_stated():
         assert fit.exponent is None
         assert abs(fit.coulomb[0] - 2.06e-3) < 2.5 * fit.coulomb[1]
         assert abs(fit.viscous[0] - 6.7e-5) < 2.5 * fit.viscous[1]
+
+
+@pytest.mark.parametrize("exponent", [1.0, 2.0])
+def test_a_swing_of_the_speed_does_not_smooth_the_law(exponent):
+    """The steps of the encoder swing the speed by up to a quarter: each hold is a mean of speeds,
+    here of a sine, which a fit to the mean speeds takes for a higher and wider peak."""
+    speed = np.array([0.4, 0.45, 0.5, 0.55, 0.6, 0.75, 1, 2, 3, 5, 8, 12, 16, 20, 25, 30])
+    law = (2.77e-3, 6.1e-5, 5.4e-3, 0.34 if exponent == 2 else 0.25, exponent)
+    swing = 0.25 * speed * (0.4 / speed) ** 1.5
+    moments = speed + math.sqrt(2) * swing * np.sin(np.linspace(0, 2 * np.pi, 400))[:, None]
+    u = np.full(len(speed), 3e-6)
+    torque = curve(moments, *law).mean(axis=0)
+    torque += u * np.random.default_rng(3).standard_normal(len(speed))
+    for known, holds in ((swing, True), (None, False)):
+        fit = fit_direction(speed, torque, u, {exponent: 0.0}, known)
+        pulls = [
+            (value - true) / own
+            for (value, own), true in zip(
+                (fit.static, fit.stribeck_velocity), law[2:4], strict=True
+            )
+        ]
+        assert (np.max(np.abs(pulls)) < 3) == holds, pulls
+
+
+def test_holds_in_which_the_speed_swings_are_fitted_as_means_over_it():
+    """From holds to the law: the swing is what shakes each of them, in both directions."""
+    speed = np.array([0.5, 0.55, 0.6, 0.75, 1, 2, 3, 5, 8, 12, 16, 20, 25, 30])
+    both, shaking = np.append(speed, -speed), np.tile(0.25 * (0.5 / speed) ** 1.5, 2)
+    moments = speed + speed * shaking[:14] * np.array([[-1.0], [1.0]])  # a square wave
+    torque = curve(moments, 2.77e-3, 6.1e-5, 5.4e-3, 0.34).mean(axis=0)
+    nothing = np.zeros(28)
+    holds = Holds(
+        both, np.append(torque, -torque), nothing + 4e-6, *[nothing] * 2, shaking, *[nothing] * 3
+    )
+    fits, *_ = fit_holds([holds])
+    for fit in fits.values():
+        assert fit.static[0] == pytest.approx(5.4e-3, abs=2 * fit.static[1])
+        assert fit.static[1] < 0.3e-3
 
 
 def test_a_curve_that_no_friction_model_explains_is_refused():

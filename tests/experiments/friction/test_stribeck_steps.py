@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
+from rigtool.experiments.friction.direction_fit import peak
 from rigtool.experiments.friction.stribeck_fit import (
     BUMP_SIGNIFICANCE,
     FAR_BEYOND,
@@ -272,3 +273,17 @@ def test_a_clear_curve_through_few_speeds_is_not_mistaken_for_structure(count):
         assert fit.coulomb[0] == pytest.approx(0.6, abs=3 * fit.coulomb[1])
         assert fit.viscous[0] == pytest.approx(5.8e-3, abs=3 * fit.viscous[1])
         assert fit.static[0] == pytest.approx(1.0, abs=3 * fit.static[1])
+
+
+@pytest.mark.parametrize("exponent", [1.0, 2.0])
+def test_peak_is_a_mean_over_normal_speeds(exponent):
+    """Compared with many points; its derivative by the Stribeck velocity with differences."""
+    v, s, vs = np.array([0.5, 0.8, 3.0]), np.array([0.12, 0.1, 0.0]), 0.6
+    nodes, shares = np.polynomial.hermite_e.hermegauss(40)
+    many = np.exp(-(np.abs((v + nodes[:, None] * s) / vs) ** exponent))
+    expected = shares @ many / shares.sum()
+    value, slope = peak(v, vs, exponent, s)
+    assert_allclose(value, expected, rtol=3e-3)
+    step = 1e-6
+    ahead, behind = (peak(v, vs + side, exponent, s)[0] for side in (step, -step))
+    assert_allclose(slope, (ahead - behind) / (2 * step), rtol=1e-6)
