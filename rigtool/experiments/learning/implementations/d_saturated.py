@@ -26,6 +26,10 @@ from rigtool.runfile import Recording
 MOST_HALVINGS = 4
 """How often the integrator is halved in search of one with which the controller leads."""
 
+LOWEST_YIELDING, YIELDING_TRIED = 0.2, 200
+"""Lowest frequency of a load on a rotor that yields, over that on one at rest, and how many are
+tried."""
+
 FEWEST_LOADS = 2
 """Known loads that a model is learned from, at least."""
 
@@ -96,8 +100,22 @@ def left_out_notes(
 
 
 def swing_hz(shape: Shape, load_inertia: float) -> float:
-    """Return the frequency at which a load, kg m2, swings on its tendon, Hz."""
+    """Return the frequency at which a load, kg m2, swings on its tendon, Hz, where the rotor is at
+    rest."""
     return math.sqrt(shape.stiffness / (load_inertia + shape.grasper_inertia)) / (2 * math.pi)
+
+
+def yielding_hz(shape: Shape, load_inertia: float, recipe: Recipe) -> float:
+    """Return the same where the rotor yields: it is on a spring then, the controller C, less its
+    inertia. Seen from the output, of ratio r and torque factor n, r n (Re C(w) - J w^2) is in
+    series with the tendon."""
+    rig, held = recipe.rig, swing_hz(shape, load_inertia)
+    hertz = held * np.geomspace(LOWEST_YIELDING, 1.0, YIELDING_TRIED)
+    loop = position_loop(**rig.loop_design).controller.response(hertz).real
+    rotor = loop - rig.nominal_inertia * (2 * math.pi * hertz) ** 2
+    spring = rig.angle_ratio * rig.torque_factor * np.maximum(rotor, 0.0)
+    own = held * np.sqrt(spring / (spring + shape.stiffness))
+    return float(hertz[np.argmin(np.abs(own - hertz))])
 
 
 def driven(recipe: Recipe, frequency_hz: float) -> str:

@@ -21,7 +21,7 @@ from rigtool.experiments.force_model.model import INERTIA_SPREAD, Kind
 from rigtool.experiments.force_model.procedure_learning import LearnedForce
 from rigtool.experiments.force_model.records import ROWS_HZ, Record
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
-from rigtool.experiments.learning.implementations.d_saturated import driven, swing_hz
+from rigtool.experiments.learning.implementations.d_saturated import driven, swing_hz, yielding_hz
 from rigtool.experiments.load_disturbance.reading import LoadedPair
 from rigtool.experiments.load_disturbance.results_known_loads import ANGLE_RATIO, LOAD_ARM, WEIGHTS
 from rigtool.numerics.arrays import Array
@@ -37,7 +37,8 @@ TENDON = {
 """Parameters of the model that are results of their own."""
 
 SAME_FREQUENCY = 1.4
-"""Ratio up to which two frequencies are those of one swing: gravity and damping shift it."""
+"""Ratio up to which two frequencies are those of one swing: gravity and damping shift it. The lower
+one is that of a rotor which yields."""
 
 
 def tendon_results(
@@ -95,8 +96,8 @@ def inertia_notes(model: LearnedModel) -> Iterator[str]:
 
 def stroke_notes(learned: LearnedForce, recipe: Recipe) -> Iterator[str]:
     """Yield a remark where no stroke is long enough, and for each load whose cycles do not repeat,
-    with the frequencies that show whether it swings on its tendon: that of the scatter, and
-    sqrt(k / J) of the load."""
+    with the frequencies that show whether it swings on its tendon: that of the scatter, and those
+    of the load where the rotor is at rest and where it yields."""
     shape = learned.model.learned.shape
     if not learned.shown:
         yield (
@@ -109,16 +110,18 @@ def stroke_notes(learned: LearnedForce, recipe: Recipe) -> Iterator[str]:
         if (ratio := learned.scatter[name]) <= MAX_SCATTER_RATIO:
             continue
         own_hz, seen_hz = swing_hz(shape, record.load_inertia), scatter_hz(record)
+        lower_hz = yielding_hz(shape, record.load_inertia, recipe)
         cause = (
             "so the loop lets the load swing: move more slowly, or turn over a wider angle"
-            f"{driven(recipe, own_hz)}"
+            f"{driven(recipe, seen_hz)}"
         )
-        if not 1 / SAME_FREQUENCY < seen_hz / own_hz < SAME_FREQUENCY:
+        if not lower_hz / SAME_FREQUENCY < seen_hz < own_hz * SAME_FREQUENCY:
             cause = "so something else differs from cycle to cycle: look at its recording"
         yield (
             f"{name}: its cycles scatter by {ratio:.3g} times what those of most strokes do, "
             f"mostly at {seen_hz:.3g} Hz; on its tendon the output swings at {own_hz:.3g} Hz, "
-            f"{cause}. The model is learned from the whole recording instead of its mean cycle"
+            f"at {lower_hz:.3g} Hz where the rotor yields, {cause}. "
+            "The model is learned from the whole recording instead of its mean cycle"
         )
 
 
