@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from rigtool.errors import RecipeError
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
+from rigtool.experiments.torque_constant.clampings import clamping_angles
 from rigtool.experiments.torque_constant.imported import analyse_imported
 from rigtool.experiments.torque_constant.results import outcome_of
 from rigtool.experiments.torque_constant.staircases.plateaus import (
@@ -18,8 +18,6 @@ from rigtool.experiments.torque_constant.staircases.plateaus import (
     pool,
 )
 from rigtool.experiments.torque_constant.temperature_fit import calibrate
-from rigtool.numerics.angle_effects import HIGHEST_ORDER
-from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.recipe.commands import CalibrateKt
 from rigtool.rigs import Load, Rig, Task
@@ -27,14 +25,6 @@ from rigtool.rigs.motion import CurrentSteps
 from rigtool.runfile import RecordingSpec, Run, RunWriter
 
 STAIRCASE = "staircase"
-
-FEWEST_APART = 18
-"""Clampings whose angles, all different, separate orders of a turn from a change with temperature;
-with fewer they leave the temperature coefficient unknown where orders up to 12 occur."""
-
-EVERY_ORDER = 2 * HIGHEST_ORDER + 3
-"""Clampings that, at angles of their own, show sine and cosine of each order up to the highest,
-beside the constant and its change with temperature."""
 
 
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
@@ -66,30 +56,6 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter) -> None:
             rig.soak(temperature)
             rig.clamp(angle)
             record(rig, task, recorder, STAIRCASE)
-
-
-def clamping_angles(settings: CalibrateKt) -> Array:
-    """Return the angles of the arm at each temperature, (temperatures, positions) rad.
-
-    Each temperature has angles at equal distance. The lowest has those of the highest, the second
-    that of the second highest and so on, so that no order of the amplifier's ripple can pass for a
-    change with temperature; the others lie between them, to resolve more orders. Where these angles
-    divide the turn into n parts, order n passes for the constant, and orders k and n - k for each
-    other. If this concerns orders up to `HIGHEST_ORDER`, and there are `FEWEST_APART` clampings
-    against the first or `EVERY_ORDER` against the second, each has an angle of its own instead,
-    further by the golden section of a turn, so that no order repeats.
-    """
-    temperatures, positions = len(settings.temperatures_degc), settings.rotor_positions
-    parts, count = positions * ((temperatures + 1) // 2), positions * temperatures
-    passes, mixes = parts <= HIGHEST_ORDER, parts <= 2 * HIGHEST_ORDER
-    if (passes and count >= FEWEST_APART) or (mixes and count >= EVERY_ORDER):
-        golden = np.arange(count).reshape(temperatures, positions) * (math.sqrt(5) - 1) / 2
-        return np.asarray(2 * np.pi * (golden % 1))
-    place = np.argsort(np.argsort(settings.temperatures_degc, kind="stable"))
-    place = np.minimum(place, temperatures - 1 - place)
-    shift = place[:, None] / ((temperatures + 1) // 2)
-    angles: Array = 2 * np.pi * (np.arange(positions) + shift) / positions
-    return angles
 
 
 def staircase(settings: CalibrateKt) -> tuple[float, ...]:

@@ -15,7 +15,6 @@ from rigtool.experiments.running.session import run_command
 from rigtool.experiments.torque_constant import procedure as calibrate_kt
 from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
 from rigtool.experiments.torque_per_ampere import torque_per_ampere, torque_per_ampere_at
-from rigtool.numerics.angle_effects import fit_angle_effects
 from rigtool.recipe import load_recipe
 from rigtool.recipe.commands import CalibrateKt
 from rigtool.runfile import open_run
@@ -157,56 +156,6 @@ def test_the_motor_is_measured_without_instrument(measured):
     assert recipe.rig.attachment == "instrument"
     with open_run(path) as stored:
         assert stored.recipe.rig.attachment == "pulley"
-
-
-def test_clamping_angles_mirror_about_the_middle_temperature():
-    settings = CalibrateKt(temperatures_degc=(20, 25, 30, 35, 40, 45, 50), rotor_positions=8)
-    angles = calibrate_kt.clamping_angles(settings)
-    assert_allclose(angles, angles[::-1], rtol=1e-12)
-    # Together they divide the turn equally.
-    assert_allclose(np.diff(np.unique(angles.round(9))), 2 * np.pi / 32, rtol=1e-6)
-    # No order of rotation passes for a change with temperature.
-    rise = np.arange(7) - 3
-    for order in range(1, 40):
-        assert_allclose(rise @ np.cos(order * angles).mean(axis=1), 0, atol=1e-9)
-
-
-@pytest.mark.parametrize(("positions", "temperatures"), [(6, 4), (5, 4), (3, 7)])
-def test_no_order_of_the_ripple_passes_for_the_constant(positions, temperatures):
-    """Twelve angles show nothing of order 12, ten of order 10."""
-    degc = np.linspace(20.0, 50.0, temperatures)
-    settings = CalibrateKt(temperatures_degc=tuple(degc), rotor_positions=positions)
-    angle = calibrate_kt.clamping_angles(settings).ravel()
-    assert angle.shape == (positions * temperatures,)
-    rise = np.repeat(degc - 35.0, positions)
-    design = np.column_stack([np.ones(len(angle)), rise])
-    for order in range(1, 13):
-        slope = 0.045 * (1 - 1.2e-3 * rise + 0.005 * np.cos(order * angle))
-        u = np.full(len(angle), 4e-6)
-        found = fit_angle_effects(design, slope + u * np.cos(17 * angle), u, angle)
-        off = np.abs(found.parameters - [0.045, -54e-6])
-        assert np.all(off < 4 * np.sqrt(np.diag(found.covariance))), order
-        assert off[0] < 5e-4 * 0.045
-        assert off[1] < 0.05 * 54e-6
-
-
-@pytest.mark.parametrize(("positions", "temperatures"), [(7, 4), (10, 3), (6, 7), (9, 3)])
-def test_orders_do_not_pass_for_each_other(positions, temperatures):
-    """Fourteen angles show order 10 as order 4, or take off from it."""
-    degc = tuple(np.linspace(20.0, 50.0, temperatures))
-    settings = CalibrateKt(temperatures_degc=degc, rotor_positions=positions)
-    angle = calibrate_kt.clamping_angles(settings).ravel()
-    design = np.column_stack([np.ones(len(angle)), np.repeat(degc, positions) - 35.0])
-    for seed in range(4):
-        rng = np.random.default_rng(seed)
-        waves = rng.choice([3, 4, 6, 8, 10, 11, 12], 5, replace=False)
-        size, phase = rng.uniform(0.5, 1, 5), rng.uniform(0, 2 * np.pi, 5)
-        ripple = np.cos(np.outer(angle, waves) + phase) @ size
-        u = np.full(len(angle), 5e-3)
-        found = fit_angle_effects(design, ripple + u * rng.standard_normal(len(angle)), u, angle)
-        true = np.sqrt(size @ size / 2)
-        assert abs(found.deviation - true) < 4 * found.deviation_u
-        assert found.deviation_u < 0.02 * true
 
 
 def test_a_coarse_gauge_is_in_the_budget_and_a_coarser_one_refused(tmp_path):
