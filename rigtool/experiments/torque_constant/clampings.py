@@ -8,7 +8,6 @@ import numpy as np
 
 from rigtool.numerics.angle_effects import HIGHEST_ORDER
 from rigtool.numerics.arrays import Array
-from rigtool.recipe.commands import CalibrateKt
 
 FEWEST_APART = 18
 """Clampings whose angles, all different, separate orders of a turn from a change with temperature;
@@ -27,7 +26,7 @@ DRAWS = 1000
 order has in common with the constant or its change by 0 to 6 %."""
 
 
-def clamping_angles(settings: CalibrateKt) -> Array:
+def clamping_angles(temperatures_degc: tuple[float, ...], positions: int) -> Array:
     """Return the rotor angles (temperatures, positions), rad.
 
     Each temperature has angles at equal distance. The lowest has those of the highest, the second
@@ -38,12 +37,12 @@ def clamping_angles(settings: CalibrateKt) -> Array:
     against the first or `EVERY_ORDER` against the second, each has an angle of its own instead, so
     that no order repeats (`_apart`).
     """
-    temperatures, positions = len(settings.temperatures_degc), settings.rotor_positions
+    temperatures = len(temperatures_degc)
     parts, count = positions * ((temperatures + 1) // 2), positions * temperatures
     passes, mixes = parts <= HIGHEST_ORDER, parts <= 2 * HIGHEST_ORDER
     if (passes and count >= FEWEST_APART) or (mixes and count >= EVERY_ORDER):
-        return _apart(settings.temperatures_degc, positions)
-    place = np.argsort(np.argsort(settings.temperatures_degc, kind="stable"))
+        return _apart(temperatures_degc, positions)
+    place = np.argsort(np.argsort(temperatures_degc, kind="stable"))
     place = np.minimum(place, temperatures - 1 - place)
     shift = place[:, None] / ((temperatures + 1) // 2)
     angles: Array = 2 * np.pi * (np.arange(positions) + shift) / positions

@@ -50,7 +50,7 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter) -> None:
         load=Load(clamped=True),
         record_every=settings.record_every,
     )
-    angles = clamping_angles(settings)
+    angles = clamping_angles(settings.temperatures_degc, settings.rotor_positions)
     for number, temperature in enumerate(settings.temperatures_degc):
         for angle in angles[number].tolist():
             rig.soak(temperature)

@@ -76,7 +76,9 @@ def test_orders_are_kept_as_benjamini_and_hochberg_do():
 
 
 def test_what_is_zero_or_exact_needs_no_chance():
-    assert not repeatability(np.zeros((3, 64))).kept().any()
+    nothing = repeatability(np.zeros((3, 64)))
+    assert not nothing.kept().any()
+    assert nothing.limit() == 1.0
     exact = repeatability(np.tile(np.cos(3 * ANGLE), (3, 1)))
     assert np.flatnonzero(exact.kept()).tolist() == [3]
     with pytest.raises(ValueError, match="at least 2"):

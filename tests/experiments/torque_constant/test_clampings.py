@@ -6,12 +6,10 @@ from numpy.testing import assert_allclose
 
 from rigtool.experiments.torque_constant.clampings import clamping_angles
 from rigtool.numerics.angle_effects import fit_angle_effects
-from rigtool.recipe.commands import CalibrateKt
 
 
 def test_clamping_angles_mirror_about_the_middle_temperature():
-    settings = CalibrateKt(temperatures_degc=(20, 25, 30, 35, 40, 45, 50), rotor_positions=8)
-    angles = clamping_angles(settings)
+    angles = clamping_angles((20, 25, 30, 35, 40, 45, 50), 8)
     assert_allclose(angles, angles[::-1], rtol=1e-12)
     # Together they divide the turn equally.
     assert_allclose(np.diff(np.unique(angles.round(9))), 2 * np.pi / 32, rtol=1e-6)
@@ -25,8 +23,7 @@ def test_clamping_angles_mirror_about_the_middle_temperature():
 def test_no_order_of_the_ripple_passes_for_the_constant(positions, temperatures):
     """Twelve angles show nothing of order 12, ten of order 10."""
     degc = np.linspace(20.0, 50.0, temperatures)
-    settings = CalibrateKt(temperatures_degc=tuple(degc), rotor_positions=positions)
-    angle = clamping_angles(settings).ravel()
+    angle = clamping_angles(tuple(degc), positions).ravel()
     assert angle.shape == (positions * temperatures,)
     rise = np.repeat(degc - 35.0, positions)
     design = np.column_stack([np.ones(len(angle)), rise])
@@ -44,8 +41,7 @@ def test_no_order_of_the_ripple_passes_for_the_constant(positions, temperatures)
 def test_orders_do_not_pass_for_each_other(positions, temperatures):
     """Fourteen angles show order 10 as order 4, or take off from it."""
     degc = tuple(np.linspace(20.0, 50.0, temperatures))
-    settings = CalibrateKt(temperatures_degc=degc, rotor_positions=positions)
-    angle = clamping_angles(settings).ravel()
+    angle = clamping_angles(tuple(degc), positions).ravel()
     design = np.column_stack([np.ones(len(angle)), np.repeat(degc, positions) - 35.0])
     for seed in range(4):
         rng = np.random.default_rng(seed)
@@ -63,8 +59,7 @@ def test_orders_do_not_pass_for_each_other(positions, temperatures):
 def test_an_order_that_is_not_fitted_is_in_the_uncertainty(positions, temperatures):
     """At angles by the golden section, orders 13, 21 and 34 gave a coefficient 10 to 20 u off."""
     degc = tuple(np.linspace(20.0, 50.0, temperatures))
-    settings = CalibrateKt(temperatures_degc=degc, rotor_positions=positions)
-    angles = clamping_angles(settings)
+    angles = clamping_angles(tuple(degc), positions)
     assert np.all(np.diff(angles, axis=1) > 0)
     angle, rise = angles.ravel(), np.repeat(degc, positions) - 35.0
     u = np.full(angle.size, 9e-6)
