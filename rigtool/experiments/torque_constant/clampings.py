@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 
 from rigtool.numerics.angle_effects import HIGHEST_ORDER
@@ -49,7 +47,6 @@ def clamping_angles(temperatures_degc: tuple[float, ...], positions: int) -> Arr
     return angles
 
 
-@cache
 def _apart(temperatures_degc: tuple[float, ...], positions: int) -> Array:
     """Return angles (temperatures, positions), rad, that rise at each temperature, none alike.
 
