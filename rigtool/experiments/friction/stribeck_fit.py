@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -61,6 +62,32 @@ a tenth leaves of it."""
 
 FALLING = 4.0
 """Multiple of its uncertainty by which a line may fall with the speed."""
+
+
+class _Points(NamedTuple):
+    """Friction at speeds, rising, of one direction; each (n,).
+
+    `v` > 0 in rad/s; `f` against the motion, N m; `weight`, 1 over its standard uncertainty;
+    `swing`, the standard deviation of the speed about v, rad/s.
+    """
+
+    v: Array
+    f: Array
+    weight: Array
+    swing: Array
+
+    def weighted(self, modelled: Array) -> Array:
+        """Return what a model leaves of the friction, over its uncertainty, (n,)."""
+        return (self.f - modelled) * self.weight
+
+    def inverse(self, design: Array) -> Array:
+        """Return the weighted pseudo-inverse (p, n) of the columns of a model (n, p)."""
+        return np.asarray(np.linalg.pinv(design * self.weight[:, None]), dtype=np.float64)
+
+    def solve(self, design: Array) -> Array:
+        """Return the parameters (p,) of columns (n, p) with the least weighted squares."""
+        scaled = design * self.weight[:, None]
+        return np.asarray(np.linalg.lstsq(scaled, self.f * self.weight)[0], dtype=np.float64)
 
 
 def fit_directions(
@@ -144,20 +171,20 @@ def fit_direction(
             "factor of 2 or more"
         )
     # Uncertainties from few degrees of freedom are uncertain themselves: weigh in the median.
-    weight = 1 / np.sqrt((scatter**2 + np.median(scatter) ** 2) / 2 + 1e-30)
-    best = _line(v, f, weight)
-    lowest, needed = _criterion(best, v, f, weight, s), 0.0
-    curves = {exponent: _stribeck(v, f, weight, exponent, s) for exponent in shapes}
+    points = _Points(v, f, 1 / np.sqrt((scatter**2 + np.median(scatter) ** 2) / 2 + 1e-30), s)
+    best = _line(points)
+    lowest, needed = _criterion(best, points), 0.0
+    curves = {exponent: _stribeck(points, exponent) for exponent in shapes}
     for exponent, lead in shapes.items():
         candidate = curves[exponent]
         if candidate is not None:
-            criterion = _criterion(candidate, v, f, weight, s)
+            criterion = _criterion(candidate, points)
             if criterion + lead < lowest:
                 best, lowest, needed = candidate, criterion, lead
     if best.exponent is None:
-        best = _straight_part(v, f, weight)
+        best = _straight_part(points)
         _require_no_fall(best)
-    averaged, own = _averaged(best, curves, v, f, weight, s)
+    averaged, own = _averaged(best, curves, points)
     covariance = best.covariance.copy()
     covariance[:2, :2] = own
     return replace(best, averaged=averaged, covariance=covariance, criterion=lowest + needed)
@@ -179,12 +206,7 @@ def _require_no_fall(line: DirectionFit) -> None:
 
 
 def _averaged(
-    chosen: DirectionFit,
-    curves: Mapping[float, DirectionFit | None],
-    v: Array,
-    f: Array,
-    weight: Array,
-    swing: Array | float = 0.0,
+    chosen: DirectionFit, curves: Mapping[float, DirectionFit | None], points: _Points
 ) -> tuple[Array, Array]:
     """Return fc and fv (2,) and their covariance (2, 2), that of each model and between them.
 
@@ -197,10 +219,11 @@ def _averaged(
     resolve a Stribeck effect do not show that there is none. Points that the line leaves out count
     as its parameters.
     """
-    line = _straight_part(v, f, weight)
+    v = points.v
+    line = _straight_part(points)
     left_out = v < line.lowest
     few = len(v) < FEW_SPEEDS
-    of_line = (f - line.evaluate(v)) * weight * ~left_out
+    of_line = points.weighted(line.evaluate(v)) * ~left_out
     criteria = [_akaike(of_line, 2 + int(left_out.sum()), known=few)]
     parameters, covariances, prior = [line.parameters[:2]], [line.covariance[:2, :2]], [0.5]
 
@@ -213,15 +236,14 @@ def _averaged(
     velocities = np.geomspace(v.min() / 3, v.max() / 3, OTHER_VELOCITIES)
     for exponent, resolved in curves.items():
         if resolved is not None:
-            rest = (f - resolved.evaluate(v, swing)) * weight
+            rest = points.weighted(resolved.evaluate(v, points.swing))
             add(resolved.parameters, resolved.covariance, _akaike(rest, 4, known=few), 1.0)
             continue
         for vs in velocities:
-            design = _columns(v, vs, exponent, swing)
-            inverse = np.linalg.pinv(design * weight[:, None])
-            found = inverse @ (f * weight)
+            design = _columns(points, vs, exponent)
+            found = points.solve(design)
             if found[2] >= found[0]:
-                rest = (f - design @ found) * weight
+                inverse, rest = points.inverse(design), points.weighted(design @ found)
                 scale = max(1.0, float(rest @ rest) / max(len(v) - 3, 1))
                 criterion = _akaike(rest, 3, known=few)
                 add(found, inverse @ inverse.T * scale, criterion, 1 / len(velocities))
@@ -248,16 +270,11 @@ def mean_by_speed(v: Array, f: Array, u: Array) -> tuple[Array, Array, Array]:
 
 
 def _finish(
-    parameters: Array,
-    design: Array,
-    v: Array,
-    f: Array,
-    weight: Array,
-    exponent: float | None,
-    swing: Array | float = 0.0,
+    parameters: Array, design: Array, points: _Points, exponent: float | None
 ) -> DirectionFit:
     """Return a fit with covariance from its Jacobian `design` (n, p)."""
-    inverse = np.linalg.pinv(design * weight[:, None])
+    v, f, weight, swing = points
+    inverse = points.inverse(design)
     residual = f - curve(parameters, v, exponent, swing)
     dof = len(v) - len(parameters)
     square = float(np.sum((residual * weight) ** 2))
@@ -278,52 +295,45 @@ def _finish(
     )
 
 
-def _line(v: Array, f: Array, weight: Array) -> DirectionFit:
-    design = np.column_stack([np.ones(len(v)), v])
-    parameters = np.linalg.pinv(design * weight[:, None]) @ (f * weight)
-    return _finish(parameters, design, v, f, weight, None)
+def _line(points: _Points) -> DirectionFit:
+    design = np.column_stack([np.ones(len(points.v)), points.v])
+    return _finish(points.solve(design), design, points, None)
 
 
-def _straight_part(v: Array, f: Array, weight: Array) -> DirectionFit:
-    """Fit a line, leaving the lowest speeds out one by one while they lie off it.
-
-    Speeds rise.
-    """
-    while len(v) > 4 and v[-1] >= 2 * v[1]:
-        rest = _line(v[1:], f[1:], weight[1:])
-        design = np.array([1.0, v[0]])
-        u = math.sqrt(1 / weight[0] ** 2 + float(design @ rest.covariance @ design))
-        if abs(f[0] - rest.evaluate(v[:1])[0]) <= OFF_THE_LINE * u:
+def _straight_part(points: _Points) -> DirectionFit:
+    """Fit a line, leaving the lowest speeds out one by one while they lie off it."""
+    while len(points.v) > 4 and points.v[-1] >= 2 * points.v[1]:
+        faster = _Points(*(each[1:] for each in points))
+        rest = _line(faster)
+        design = np.array([1.0, points.v[0]])
+        u = math.sqrt(1 / points.weight[0] ** 2 + float(design @ rest.covariance @ design))
+        if abs(points.f[0] - rest.evaluate(points.v[:1])[0]) <= OFF_THE_LINE * u:
             break
-        v, f, weight = v[1:], f[1:], weight[1:]
-    return _line(v, f, weight)
+        points = faster
+    return _line(points)
 
 
-def _stribeck(
-    v: Array, f: Array, weight: Array, exponent: float, swing: Array | float = 0.0
-) -> DirectionFit | None:
+def _stribeck(points: _Points, exponent: float) -> DirectionFit | None:
     """Fit the Stribeck model; None where the data do not determine its parameters."""
+    v, _, weight, swing = points
     if len(v) < 6:
         return None
 
-    def solve(vs: float) -> Array:
-        scaled = _columns(v, vs, exponent, swing) * weight[:, None]
-        return np.asarray(np.linalg.lstsq(scaled, f * weight)[0], dtype=np.float64)
-
     def misfit(vs: float) -> float:
-        return float(np.sum(((f - _columns(v, vs, exponent, swing) @ solve(vs)) * weight) ** 2))
+        design = _columns(points, vs, exponent)
+        return float(np.sum(points.weighted(design @ points.solve(design)) ** 2))
 
     # The model is linear in all parameters but vs.
     slowest, fastest = v.min() / 3, v.max() / 3
     vs = minimum(misfit, slowest, fastest, points=25)
-    coulomb, viscous, static = solve(vs)
+    coulomb, viscous, static = points.solve(_columns(points, vs, exponent))
     bump, slope = (static - coulomb) * np.array(peak(v, vs, exponent, swing))
-    design = np.column_stack([_columns(v, vs, exponent, swing), slope])
+    design = np.column_stack([_columns(points, vs, exponent), slope])
     parameters = np.array([coulomb, viscous, static, vs])
-    fit = _finish(parameters, design, v, f, weight, exponent, swing)
+    fit = _finish(parameters, design, points, exponent)
     # All holds swing in the same loop: an error of the variance is common to them.
     by_swing = fit.evaluate(v, swing) - fit.evaluate(v)
-    shift = SWING_U * np.linalg.pinv(design * weight[:, None]) @ (by_swing * weight)
+    shift = SWING_U * points.inverse(design) @ (by_swing * weight)
     covariance = fit.covariance + np.outer(shift, shift)
     rise_u = math.sqrt(covariance[0, 0] + covariance[2, 2] - 2 * covariance[0, 2])
     determined = (
@@ -335,10 +345,10 @@ def _stribeck(
     return replace(fit, covariance=covariance) if determined else None
 
 
-def _columns(v: Array, vs: float, exponent: float, swing: Array | float) -> Array:
+def _columns(points: _Points, vs: float, exponent: float) -> Array:
     """Return the columns (n, 3) of fc, fv and fs in a Stribeck curve of this velocity."""
-    bump, _ = peak(v, vs, exponent, swing)
-    return np.column_stack([1 - bump, v, bump])
+    bump, _ = peak(points.v, vs, exponent, points.swing)
+    return np.column_stack([1 - bump, points.v, bump])
 
 
 def _akaike(residual: Array, parameters: int, *, known: bool) -> float:
@@ -349,11 +359,9 @@ def _akaike(residual: Array, parameters: int, *, known: bool) -> float:
     return _corrected(residual, parameters + 1)
 
 
-def _criterion(
-    fit: DirectionFit, v: Array, f: Array, weight: Array, swing: Array | float = 0.0
-) -> float:
-    residual = (f - fit.evaluate(v, swing)) * weight
-    return _akaike(residual, len(fit.parameters), known=len(v) < FEW_SPEEDS)
+def _criterion(fit: DirectionFit, points: _Points) -> float:
+    residual = points.weighted(fit.evaluate(points.v, points.swing))
+    return _akaike(residual, len(fit.parameters), known=len(residual) < FEW_SPEEDS)
 
 
 def _corrected(residual: Array, parameters: int) -> float:

@@ -17,6 +17,7 @@ from rigtool.experiments.friction.stribeck_fit import (
     _corrected,
     _criterion,
     _line,
+    _Points,
     _straight_part,
     _stribeck,
     fit_direction,
@@ -25,6 +26,10 @@ from rigtool.experiments.friction.stribeck_fit import (
 )
 
 SPEEDS = np.array([0.2, 0.4, 0.7, 1.0, 2.0, 4.0, 8.0, 15.0, 30.0])
+
+
+def points(v, f, u):
+    return _Points(v, f, 1 / u, np.zeros(len(v)))
 
 
 def line_of(v, f, u):
@@ -72,7 +77,7 @@ def test_a_line_is_that_of_the_normal_equations(scatter):
     rng = np.random.default_rng(2)
     u = rng.uniform(1e-5, 3e-5, len(SPEEDS))
     f = 2e-3 + 5e-5 * SPEEDS + scatter * u * rng.standard_normal(len(SPEEDS))
-    found, (parameters, covariance, residual) = _line(SPEEDS, f, 1 / u), line_of(SPEEDS, f, u)
+    found, (parameters, covariance, residual) = _line(points(SPEEDS, f, u)), line_of(SPEEDS, f, u)
     dof = len(SPEEDS) - 2
     birge = max(1.0, np.sum((residual / u) ** 2) / dof)
     assert (birge > 1) == (scatter > 1)
@@ -92,7 +97,7 @@ def test_a_line_is_that_of_the_normal_equations(scatter):
 def test_structure_is_what_residuals_have_beyond_three_times_the_scatter():
     u = np.full(len(SPEEDS), 1e-6)
     f = 2e-3 + 5e-5 * SPEEDS + 1e-4 * np.cos(3 * SPEEDS)
-    found, residual = _line(SPEEDS, f, 1 / u), line_of(SPEEDS, f, u)[2]
+    found, residual = _line(points(SPEEDS, f, u)), line_of(SPEEDS, f, u)[2]
     expected = math.sqrt(np.sum(residual**2) / (len(SPEEDS) - 2) - 9e-12)
     assert found.structure == pytest.approx(expected, rel=1e-9)
 
@@ -105,7 +110,7 @@ def test_the_lowest_speed_is_left_out_three_uncertainties_off_the_line(times, le
     design = np.array([1.0, SPEEDS[0]])
     off = math.sqrt(u[0] ** 2 + design @ covariance @ design)
     f[0] += times * off
-    found = _straight_part(SPEEDS, f, 1 / u)
+    found = _straight_part(points(SPEEDS, f, u))
     assert found.lowest == SPEEDS[left_out]
     assert found.dof == len(SPEEDS) - 2 - left_out
 
@@ -113,10 +118,10 @@ def test_the_lowest_speed_is_left_out_three_uncertainties_off_the_line(times, le
 def test_four_speeds_over_a_factor_of_two_are_left_at_least():
     u = np.full(6, 1e-6)
     off = np.array([1.0, 0.03, 2.1e-3, 2e-3, 2e-3, 2e-3])
-    assert _straight_part(np.array([1.0, 2, 3, 4, 6, 8]), off, 1 / u).dof == 4 - 2
+    assert _straight_part(points(np.array([1.0, 2, 3, 4, 6, 8]), off, u)).dof == 4 - 2
     # what is left spans a factor of two from the second speed
-    assert _straight_part(np.array([1.0, 4.2, 5, 6, 7, 8]), off, 1 / u).lowest == 1.0
-    assert _straight_part(np.array([1.0, 3.9, 4.2, 6, 7, 8]), off, 1 / u).lowest == 3.9
+    assert _straight_part(points(np.array([1.0, 4.2, 5, 6, 7, 8]), off, u)).lowest == 1.0
+    assert _straight_part(points(np.array([1.0, 3.9, 4.2, 6, 7, 8]), off, u)).lowest == 3.9
 
 
 def stribeck(v, static, velocity, exponent):
@@ -132,10 +137,10 @@ def test_the_stated_line_is_the_mean_over_models_by_their_akaike_weights(static)
     v = np.geomspace(0.4, 30, 9)
     u = np.full(9, 4e-5)
     f = stribeck(v, static, 0.5, 2.0) + u * rng.standard_normal(9)
-    chosen, curves = _line(v, f, 1 / u), {2.0: None, 1.0: None}
-    found, covariance = _averaged(chosen, curves, v, f, 1 / u)
+    chosen, curves = _line(points(v, f, u)), {2.0: None, 1.0: None}
+    found, covariance = _averaged(chosen, curves, points(v, f, u))
 
-    line = _straight_part(v, f, 1 / u)
+    line = _straight_part(points(v, f, u))
     out = v < line.lowest
     residual = np.where(out, 0.0, (f - line.evaluate(v)) / u)
     models = [(line.parameters, _corrected(residual, 3 + out.sum()), 0.5, line.covariance)]
@@ -165,15 +170,18 @@ def test_a_chosen_curve_states_its_own_line_and_the_others_as_uncertainty():
     v = np.geomspace(0.1, 30, 20)
     u = np.full(20, 5e-5)
     f = stribeck(v, 4e-3, 0.8, 2.0) + u * rng.standard_normal(20)
-    curves = {d: _stribeck(v, f, 1 / u, d) for d in (2.0, 1.0)}
+    curves = {d: _stribeck(points(v, f, u), d) for d in (2.0, 1.0)}
     assert all(curves.values())
-    found, covariance = _averaged(curves[2.0], curves, v, f, 1 / u)
+    found, covariance = _averaged(curves[2.0], curves, points(v, f, u))
     assert_allclose(found, curves[2.0].parameters[:2], rtol=1e-12)
-    line = _straight_part(v, f, 1 / u)
+    line = _straight_part(points(v, f, u))
     out = int(np.sum(v < line.lowest))
     left = ((f - line.evaluate(v)) / u)[out:]
     padded = np.concatenate([np.zeros(out), left])
-    criteria = [_corrected(padded, 3 + out), *(_criterion(c, v, f, 1 / u) for c in curves.values())]
+    criteria = [
+        _corrected(padded, 3 + out),
+        *(_criterion(c, points(v, f, u)) for c in curves.values()),
+    ]
     weights = np.array([0.5, 0.25, 0.25]) * np.exp((min(criteria) - np.array(criteria)) / 2)
     weights /= weights.sum()
     lines = np.array([line.parameters[:2], *(c.parameters[:2] for c in curves.values())])
@@ -189,13 +197,13 @@ def test_the_fit_states_the_line_and_the_uncertainty_of_both():
     v = np.geomspace(0.4, 30, 9)
     stated = rng.uniform(2e-5, 6e-5, 9)
     f = stribeck(v, 2.9e-3, 0.5, 2.0) + 3e-5 * rng.standard_normal(9)
-    weight = 1 / np.sqrt((stated**2 + np.median(stated) ** 2) / 2)
+    at = points(v, f, np.sqrt((stated**2 + np.median(stated) ** 2) / 2))
     fit = fit_direction(v, f, stated)
     assert fit.exponent is None
-    mean, covariance = _averaged(_line(v, f, weight), {2.0: None, 1.0: None}, v, f, weight)
+    mean, covariance = _averaged(_line(at), {2.0: None, 1.0: None}, at)
     assert_allclose(fit.averaged, mean, rtol=1e-6)
     assert_allclose(fit.covariance, covariance, rtol=1e-6)
-    assert fit.criterion == pytest.approx(_criterion(_line(v, f, weight), v, f, weight), rel=1e-9)
+    assert fit.criterion == pytest.approx(_criterion(_line(at), at), rel=1e-9)
 
 
 @pytest.mark.parametrize(("exponent", "needs"), [(2.0, 0.0), (1.0, 6.0)])
@@ -205,7 +213,7 @@ def test_the_criterion_of_a_curve_holds_the_lead_that_its_shape_needs(exponent, 
     f = stribeck(v, 4e-3, 0.8, exponent) + u * np.random.default_rng(3).standard_normal(30)
     fit = fit_direction(v, f, u)
     assert fit.exponent == exponent
-    assert fit.criterion == pytest.approx(_criterion(fit, v, f, 1 / u) + needs, rel=1e-6)
+    assert fit.criterion == pytest.approx(_criterion(fit, points(v, f, u)) + needs, rel=1e-6)
     assert_allclose(fit.level(v), fit.evaluate(v) - fit.parameters[1] * v, rtol=1e-12)
 
 
@@ -214,7 +222,7 @@ def test_uncertainties_of_a_curve_are_those_of_its_numeric_derivative(exponent):
     v = np.geomspace(0.1, 30, 30)
     u = np.full(30, 1e-5)
     f = stribeck(v, 4e-3, 0.8, exponent) + 3 * u * np.random.default_rng(4).standard_normal(30)
-    fit = _stribeck(v, f, 1 / u, exponent)
+    fit = _stribeck(points(v, f, u), exponent)
 
     def model(p):
         return p[0] + p[1] * v + (p[2] - p[0]) * np.exp(-((v / p[3]) ** exponent))
@@ -243,14 +251,14 @@ def test_three_speeds_must_show_the_effect(significant, found):
     u = np.full(len(v), 1e-5)
     u[:6] = bump / BUMP_SIGNIFICANCE * 1.2
     u[:significant] = 1e-5
-    assert (_stribeck(v, f, 1 / u, 2.0) is not None) == found
+    assert (_stribeck(points(v, f, u), 2.0) is not None) == found
 
 
 @pytest.mark.parametrize(("count", "found"), [(5, False), (6, True)])
 def test_a_curve_needs_six_speeds(count, found):
     v = np.concatenate([[0.2, 0.4, 0.6, 0.9], np.linspace(4, 30, count - 4)])
     u = np.full(count, 1e-7)
-    assert (_stribeck(v, stribeck(v, 4e-3, 0.7, 2.0), 1 / u, 2.0) is not None) == found
+    assert (_stribeck(points(v, stribeck(v, 4e-3, 0.7, 2.0), u), 2.0) is not None) == found
 
 
 @pytest.mark.parametrize(("velocity", "found"), [(0.125, False), (0.5, True), (11.0, False)])
@@ -258,7 +266,7 @@ def test_a_velocity_at_an_edge_of_those_that_speeds_can_show_is_none(velocity, f
     """From a third of the lowest to a third of the highest speed."""
     v = np.geomspace(0.4, 30, 40)
     u = np.full(40, 1e-9)
-    assert (_stribeck(v, stribeck(v, 1.0, velocity, 2.0), 1 / u, 2.0) is not None) == found
+    assert (_stribeck(points(v, stribeck(v, 1.0, velocity, 2.0), u), 2.0) is not None) == found
 
 
 @pytest.mark.parametrize("count", [6, 7, 9])
