@@ -139,8 +139,9 @@ struct rs_model {
     /* the reading: low-pass q' = A q + B M, y = C q + D M, and u^2 = (c s)^2 + (g y)^2 of its
      * deviation s, by state, and while the rotor creeps; the ripple's variance is added */
     rs_real low_pass[RS_ORDER + 1][RS_ORDER + 1], settled[RS_ORDER], scales[RS_KINDS][2], coverage;
-    /* what friction leaves open without a current, and where the rotor crawls besides */
-    rs_real no_current, open_variances[2][RS_KINDS];
+    /* what friction leaves open without a current, and where the rotor crawls besides; where the
+     * rotor of a driven motor has been in its count for long */
+    rs_real no_current, open_variances[2][RS_KINDS], unseen_variance;
     /* while the rotor creeps by steps: experiments/force_filter/creeping.py */
     rs_real creep_more, creep_variance;
 };
@@ -1423,6 +1424,9 @@ static inline int rs_read(struct rigtool_sensor *s)
         variance *= rs_square(scales[0]);
     if (s->idle && variance < rs_model.open_variances[s->crawls][i])
         variance = rs_model.open_variances[s->crawls][i];
+    if (!s->idle && s->rested_up >= RS_UNSEEN_STEPS && s->rested_down >= RS_UNSEEN_STEPS
+        && variance < rs_model.unseen_variance)
+        variance = rs_model.unseen_variance;
     unbent *= rs_model.creep_variance * unbent;
     if (variance < unbent)
         variance = unbent;

@@ -23,10 +23,14 @@ from rigtool.experiments.force_filter.highest import highest
 from rigtool.numerics.arrays import Array, Mask
 
 States = NDArray[np.int32]
-Idling = NDArray[np.int8]
+Holding = NDArray[np.int8]
 
 STILL_TIME = 0.1
 """Time, s, within which a rotor that stands still passes one edge of the encoder at most."""
+
+UNSEEN_TIME = 0.25
+"""Rest within a count, s, from which on a load may have changed unseen. Of contacts that begin each
+5 s, as the ripple's rows expect, 5 % begin within it, which a 95 % interval leaves out."""
 
 LIMIT_TIME = 0.1
 """Time about a current at its limit in which the torque has no value, s."""
@@ -148,7 +152,13 @@ class Judge:
     @property
     def span(self) -> int:
         """Steps on either side that a state may depend on."""
-        return 2 * max(1, round(max(STILL_TIME, LIMIT_TIME) / self.step_time))
+        about = 2 * max(1, round(max(STILL_TIME, LIMIT_TIME) / self.step_time))
+        return max(about, self.unseen)
+
+    @property
+    def unseen(self) -> int:
+        """Steps in `UNSEEN_TIME`."""
+        return max(1, round(UNSEEN_TIME / self.step_time))
 
     def states(self, moments: Moments) -> States:
         """Return the state at each step, (m,)."""
@@ -173,13 +183,22 @@ class Judge:
         found: States = np.where(sliding & slow, CREEPING_KIND, states).astype(np.int32)
         return found
 
-    def idling(self, moments: Moments) -> Idling:
-        """Return 1 where the motor has had no current, 2 where the rotor crawls besides: one count
-        at most within `SPEED_TIME`; else 0, (m,)."""
-        found = moments.idle.astype(np.int8)
+    def holding(self, moments: Moments) -> Holding:
+        """Return whether friction may hold what does not show, (m,): 1 where the motor has had no
+        current, 2 where the rotor crawls besides, one count at most within `SPEED_TIME`; 3 where
+        the rotor of a driven motor has been in its count for `UNSEEN_TIME`; else 0."""
+        found = np.where(moments.idle, 1, np.where(self._rests(moments.low), 3, 0)).astype(np.int8)
         if found.any():
             found[moments.idle & (np.abs(self._mean_speed(moments.low)) < self.crawling)] = 2
         return found
+
+    def _rests(self, low: Array) -> Mask:
+        """Return where the count has been the same for `UNSEEN_TIME`, and will be if it is not
+        `causal`, (m,); before the first step, it has just come."""
+        moved = np.diff(low, prepend=[np.nan, low[0]]) != 0
+        steps = self.unseen - 1
+        rests: Mask = ~highest(moved, steps, 0 if self.causal else steps)[1:]
+        return rests
 
     @property
     def crawling(self) -> float:

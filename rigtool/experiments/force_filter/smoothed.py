@@ -20,14 +20,12 @@ from rigtool.experiments.force_filter.estimate import PIECE_STEPS, Estimate, Fil
 from rigtool.experiments.force_filter.highest import highest
 from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_filter.linear import ROW_LENGTH
+from rigtool.experiments.force_filter.motion_states import UNSEEN_TIME
 from rigtool.experiments.force_filter.plant import STATES, Plant
 from rigtool.numerics.arrays import Array
 
 ONSET_TIME = 30e-3
 """Time from a change of the torque until it shows, s."""
-
-REST_TIME = 0.25
-"""Rest within a count, s, from which on a change of the load may not show."""
 
 UNLIKE = 1.5
 """Standard deviations by which the torques before and after such a rest differ if it changed."""
@@ -43,7 +41,7 @@ class Again:
     come.
 
     The noise of the torque is raised from `ONSET_TIME` before the first filter raised it. It is
-    also raised about the end of a rest of `REST_TIME` within a count, if the first filter finds
+    also raised about the end of a rest of `UNSEEN_TIME` within a count, if the first filter finds
     another torque afterwards: a changed load moved the rotor, and the low noise of the rest would
     spread the change over the rest.
     """
@@ -55,7 +53,7 @@ class Again:
         self._size = step_samples
         steps = [
             max(1, round(time / (step_samples * plant.sample_time)))
-            for time in (ONSET_TIME, uncertainty.busy_time, REST_TIME)
+            for time in (ONSET_TIME, uncertainty.busy_time, UNSEEN_TIME)
         ]
         self._onset, self._settled, self._rest = steps
         self._signals: Signals | None = None

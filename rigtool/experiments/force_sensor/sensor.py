@@ -20,7 +20,7 @@ from rigtool.experiments.force_filter.estimate import Estimate, Filter, Signals
 from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_filter.motion_states import (
     KIND_COUNT,
-    Idling,
+    Holding,
     Judge,
     Moments,
     Reach,
@@ -63,22 +63,23 @@ class SensorProperties:
 
     @cached_property
     def open_variances(self) -> Array:
-        """Variance of the torque that friction leaves open where the motor has no current, N2 m2,
-        (3, kinds), by `Judge.idling` and the kind of motion: that of a rectangle.
+        """Variance of the torque that friction leaves open, N2 m2, (4, kinds), by `Judge.holding`
+        and the kind of motion: that of a rectangle.
 
-        It is as wide as friction where the rotor rests, which may hold either way, and after a
-        reversal as what friction changes by within a count, about rest. What changes by friction
-        in the time of a rest changes by half of it in half the time, in which a rotor that crawls
-        after a reversal passes one count.
+        Without a current, it is as wide as friction where the rotor rests, which may hold either
+        way, and after a reversal as what friction changes by within a count, about rest. What
+        changes by friction in the time of a rest changes by half of it in half the time, in which a
+        rotor that crawls after a reversal passes one count. The motor of a loop takes up what it
+        sees: where its rotor rests, a load hides as far as friction changes within a count.
         """
         plant = self.model.plant(self.grid.sample_time)
         bearings, housing = plant.static, plant.housing_friction
         slope = bearings / (plant.resting_part * plant.presliding_angle)
         if housing > 0:
             slope += housing / plant.housing_presliding_angle
-        widths, rests = np.zeros((3, KIND_COUNT)), plant.coulomb + housing
-        widths[1:, State.STILL] = rests
-        widths[1:, State.REVERSED] = min(slope * self.count / 2, rests)
+        widths, rests = np.zeros((4, KIND_COUNT)), plant.coulomb + housing
+        widths[1:3, State.STILL] = rests
+        widths[1, State.REVERSED] = widths[3, State.STILL] = min(slope * self.count / 2, rests)
         widths[2, State.REVERSED] = max(widths[1, State.REVERSED], rests / 2)
         return (plant.torque_factor * widths) ** 2 / 3
 
@@ -88,12 +89,12 @@ class SensorProperties:
         plant = self.model.plant(self.grid.sample_time)
         return plant.torque_factor * (plant.static + plant.housing_friction)
 
-    def least_variances(self, idling: Idling, kinds: States, unbent: Array) -> Array:
+    def least_variances(self, holding: Holding, kinds: States, unbent: Array) -> Array:
         """Return the least variance of the torque (m,) N2 m2: `open_variances`, and that of a
         rectangle as wide as the friction that bristles lack which are `unbent` (m,) while the rotor
         creeps (`creeping`)."""
         lacking = (self.creeping_torque * unbent) ** 2 / 3
-        return np.maximum(self.open_variances[idling, kinds], lacking)
+        return np.maximum(self.open_variances[holding, kinds], lacking)
 
     def limited(self, current: Array) -> NDArray[np.bool_]:
         """Return where a current (n,) A is at its limit."""
@@ -189,9 +190,9 @@ class Sensor:
             found[1],
             estimate.idle,
         )
-        states, kinds, idling = self._states(moments)
+        states, kinds, holding = self._states(moments)
         unbent = self._creeping.add(estimate.low, moments.housing, states == State.STILL)
-        least = self._instrument.least_variances(idling, kinds, unbent)
+        least = self._instrument.least_variances(holding, kinds, unbent)
         scales = self._instrument.model.scales[1]
         deviation, opened = estimate.deviation, estimate.opened
         u = uncertainty_of_kinds(scales, deviation, torque, kinds, variance, opened, least)
@@ -221,14 +222,14 @@ class Sensor:
         """Standard deviation of the torque after the last step, before the low-pass, N m."""
         return self._filter.last_deviation
 
-    def _states(self, moments: Moments) -> tuple[States, States, Idling]:
+    def _states(self, moments: Moments) -> tuple[States, States, Holding]:
         """Return states and kinds of these steps, that follow from the steps before them, too, and
-        `Judge.idling`."""
+        `Judge.holding`."""
         before = self._before
         whole = moments if before is None else Moments.joined(before, moments)
         self._before = whole.part(-self._judge.span)
         if not len(moments.low):
             return *np.empty((2, 0), dtype=np.int32), np.empty(0, dtype=np.int8)
         states, first = self._judge.states(whole), len(whole.low) - len(moments.low)
-        kinds, idling = self._judge.kinds(states, whole), self._judge.idling(whole)
-        return states[first:], kinds[first:], idling[first:]
+        kinds, holding = self._judge.kinds(states, whole), self._judge.holding(whole)
+        return states[first:], kinds[first:], holding[first:]

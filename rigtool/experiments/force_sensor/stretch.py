@@ -40,7 +40,7 @@ ESTIMATED_TYPES = {
     "u": np.float32,
     "states": np.int8,
     "kinds": np.int8,
-    "idling": np.int8,
+    "holding": np.int8,
     "causal": np.float64,
     "causal_u": np.float64,
     "causal_states": np.int8,
@@ -183,7 +183,7 @@ class Stretch:
         self._keep("u", deviation)
         self._keep("states", states[first:end])
         self._keep("kinds", judge.kinds(states, part)[first:end])
-        self._keep("idling", judge.idling(part)[first:end])
+        self._keep("holding", judge.holding(part)[first:end])
         self._in_front = min(end, judge.span)
         self._waiting = [waiting.part(end - self._in_front)]
 
@@ -291,8 +291,8 @@ class Stretch:
         kinds = self._taken("kinds")[::every]
         unfollowed = self._sensor.power_up.probability * self._taken("unfollowed")
         variance = np.concatenate(variances) + unfollowed
-        idling, unbent = self._taken("idling")[::every], self._taken("unbent")
-        least = instrument.least_variances(idling, kinds, unbent)
+        holding, unbent = self._taken("holding")[::every], self._taken("unbent")
+        least = instrument.least_variances(holding, kinds, unbent)
         # at rest what comes later may have come at once: between both forms, a rectangle
         apart = torque[::every] - self._found["causal"][: self._filled["causal"]]
         least = np.maximum(least, np.where(kinds == State.STILL, apart**2 / 3, 0.0))

@@ -43,7 +43,7 @@ REACH = Reach((-0.2004, 0.4004), 2.0, 0.05, (20.0, 50.0), 0.3)
 def wandering(seed, size=120):
     """Return moments that wander through all that a state depends on."""
     rng = np.random.default_rng(seed)
-    speed = np.repeat(rng.choice([0.0, 0.02, 0.1, -0.3, 1.0, -2.5], size // 10), 10)
+    speed = np.repeat(rng.choice([0.0, 0.0, 0.0, 0.02, 0.1, -0.3, 1.0, -2.5], size // 10), 10)
     low = np.floor(np.cumsum(speed) * STEP / COUNT) * COUNT
     return Moments(
         low,
@@ -66,9 +66,9 @@ def spans(size, steps, causal):
 
 @pytest.mark.parametrize("causal", [False, True])
 @pytest.mark.parametrize("seed", range(6))
-def test_states_kinds_and_idling_are_those_of_the_text(seed, causal):
+def test_states_kinds_and_holding_are_those_of_the_text(seed, causal):
     own, judge = wandering(seed), Judge(REACH, COUNT, STEP, causal)
-    size, states, kinds, idling = len(own.low), [], [], []
+    size, states, kinds, holding = len(own.low), [], [], []
     still = [*spans(size, 5, causal)]  # 0.1 s about each step
     limit = [*spans(size, 5 if causal else 10, causal)]  # 0.1 s before it, and behind
     mean = [*spans(size, 2, causal)]  # 0.05 s: round(2.5) steps of 10 ms on either side
@@ -94,24 +94,29 @@ def test_states_kinds_and_idling_are_those_of_the_text(seed, causal):
         states.append(state)
         kinds.append(CREEPING_KIND if slides and abs(passing) < 0.3 else state)
         crawls = abs(passing) < 1.5 * COUNT / 0.05
-        idling.append((2 if crawls else 1) if own.idle[k] else 0)
+        before, behind = max(0, k - 25), k + 1 if causal else k + 25
+        rests = k >= 24 and np.ptp(own.low[before:behind]) == 0  # 0.25 s
+        holding.append((2 if crawls else 1) if own.idle[k] else 3 * rests)
     found = judge.states(own)
     assert found.tolist() == states
     assert judge.kinds(found, own).tolist() == kinds
-    assert judge.idling(own).tolist() == idling
+    assert judge.holding(own).tolist() == holding
 
 
 def test_the_draws_hold_all_states():
     judge = Judge(REACH, COUNT, STEP)
     every = [judge.kinds(judge.states(own), own) for own in map(wandering, range(6))]
     assert set(np.concatenate(every)) == {0, 1, 2, 3, 4, 5}
-    assert {*np.concatenate([judge.idling(own) for own in map(wandering, range(6))])} == {0, 1, 2}
+    holding = [judge.holding(own) for own in map(wandering, range(6))]
+    assert {*np.concatenate(holding)} == {0, 1, 2, 3}
 
 
 @given(st.floats(1e-4, 0.5))
 def test_a_span_holds_the_time_about_a_limit_on_both_sides(step):
-    """In steps, one at least: twice 0.1 s, of which the causal form looks at one side."""
-    assert Judge(REACH, COUNT, step).span == 2 * max(1, round(0.1 / step))
+    """In steps, one at least: twice 0.1 s, of which the causal form looks at one side; a rest in a
+    count is longer."""
+    longest = max(2 * max(1, round(0.1 / step)), round(0.25 / step))
+    assert Judge(REACH, COUNT, step).span == longest
 
 
 def an_again():
