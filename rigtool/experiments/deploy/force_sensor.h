@@ -143,6 +143,8 @@ struct rs_model {
     rs_real no_current, open_variances[2][RS_KINDS];
     /* while the rotor creeps by steps: experiments/force_filter/creeping.py */
     rs_real creep_more, creep_variance;
+    /* of a torque that swings: experiments/force_filter/swinging.py */
+    rs_real level_kept, swing_grows, swing_falls, least_swing, swing_taken, swing_held;
 };
 
 @DATA@
@@ -211,12 +213,19 @@ struct rigtool_sensor {
     int32_t turned, farthest;
     rs_real side, lacked;
     int rested, swung;
+    rs_real level_torque, swing; /* mean of the torque, median of how far it is away, squared */
     struct rigtool_sensor_reading reading;
 };
 
 static inline rs_real rs_square(rs_real value)
 {
     return value * value;
+}
+
+/* 1, 0 or -1. */
+static inline rs_real rs_sign(rs_real value)
+{
+    return (rs_real)(value > 0 ? 1 : value < 0 ? -1 : 0);
 }
 
 /* A value within +-limit; the C library's functions test for NaN first. */
@@ -1193,7 +1202,7 @@ static inline void rs_row(struct rigtool_sensor *s)
 {
     const struct rs_model *m = &rs_model;
     const rs_real share = (rs_real)1 / (rs_real)s->row_length, felt = m->torque_factor * share;
-    const rs_real direction = (rs_real)((s->x[RS_SPEED] > 0) - (s->x[RS_SPEED] < 0));
+    const rs_real direction = rs_sign(s->x[RS_SPEED]);
     int j;
     s->row[0] += (s->x[RS_TORQUE] + m->torque_factor * s->shown[RS_WAVES].seen) * share;
     for (j = 0; j < RS_WAVES; j++)
@@ -1221,7 +1230,7 @@ static inline rs_real rs_unfollowed(const struct rigtool_sensor *s)
     const rs_real warm = (s->temperature_before + s->temperature) / 2;
     const rs_real constant = m->constant + m->constant_slope * warm;
     const rs_real *u = s->unfollowed, growing = u[1] + size * (u[2] + size * u[3]);
-    return rs_square(m->torque_factor) * (u[0] + rs_square(constant * current) * growing);
+    return u[0] + rs_square(constant * current) * growing;
 }
 
 /* Renew now and then by what is known what each wave takes off the drive torque. */
@@ -1332,7 +1341,7 @@ static inline enum rigtool_sensor_state rs_state(struct rigtool_sensor *s, rs_re
     const int32_t oldest = full ? s->history[s->next] : s->steps ? s->history[0] : s->encoder;
     const int outside = rs_outside(s, torque, oldest, s->steps ? s->steps : 1);
     const int still = rs_still_steps(s, rs_from(s->encoder, before)) >= RS_STILL_STEPS;
-    const rs_real direction = (rs_real)((s->x[RS_SPEED] > 0) - (s->x[RS_SPEED] < 0));
+    const rs_real direction = rs_sign(s->x[RS_SPEED]);
     s->history[s->next] = s->encoder;
     s->next = s->next + 1 < RS_SPEED_STEPS ? s->next + 1 : 0;
     s->steps += !full;
@@ -1389,6 +1398,25 @@ static inline rs_real rs_unbent(struct rigtool_sensor *s, int still)
     return s->swung > RS_SWUNG_STEPS ? lacks : (rs_real)0;
 }
 
+/* The variance of what the filter does not show of a torque that swings; where the rotor slides,
+ * notes how far it does. */
+static inline rs_real rs_unshown(
+    struct rigtool_sensor *s, rs_real torque, enum rigtool_sensor_state state)
+{
+    const struct rs_model *m = &rs_model;
+    const rs_real away = torque - s->level_torque;
+    rs_real swing = s->swing;
+    s->level_torque = torque - m->level_kept * away;
+    if (state <= RIGTOOL_SENSOR_WITH) {
+        swing *= away * away > swing ? m->swing_grows : m->swing_falls;
+        s->swing = swing = swing > m->least_swing ? swing : m->least_swing;
+    }
+    swing -= m->least_swing;
+    if (state > RIGTOOL_SENSOR_WITH && (s->creeps || state == RIGTOOL_SENSOR_STILL))
+        return m->swing_taken * swing + (swing < m->swing_held ? swing : m->swing_held);
+    return m->swing_taken * swing;
+}
+
 /* Whether there are numbers to read: currents beyond all limits end them. */
 static inline int rs_read(struct rigtool_sensor *s)
 {
@@ -1416,6 +1444,7 @@ static inline int rs_read(struct rigtool_sensor *s)
         return 1;
     }
     now->torque = torque;
+    other += rs_unshown(s, torque, now->state);
     i = now->state <= RIGTOOL_SENSOR_WITH && s->creeps ? RS_CREEPING : (int)now->state;
     scales = rs_model.scales[i];
     /* where a load has raised the noise, the deviation holds no more than is needed */
@@ -1476,6 +1505,7 @@ static inline void rs_begin(struct rigtool_sensor *s)
     s->d[RS_LOAD] = rs_square(m->load_stroke);
     s->direction = s->stroke = s->side = 1;
     s->rested = -1; /* nowhere yet */
+    s->swing = m->least_swing;
     s->row_length = RS_ROW_STEPS;
     for (j = 0; j < 2; j++) {
         struct rs_hypothesis *h = &s->hypotheses[j];

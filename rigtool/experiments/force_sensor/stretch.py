@@ -41,6 +41,7 @@ ESTIMATED_TYPES = {
     "states": np.int8,
     "kinds": np.int8,
     "idling": np.int8,
+    "held": np.bool_,
     "causal": np.float64,
     "causal_u": np.float64,
     "causal_states": np.int8,
@@ -54,6 +55,7 @@ ESTIMATED_TYPES = {
     "doubt": np.float32,
     "unfollowed": np.float32,
     "unbent": np.float32,
+    "swing": np.float32,
     "opened": np.bool_,
 }
 """At each step, but for the causal torque, its u and state and the angle that was passed, which are
@@ -129,6 +131,7 @@ class Stretch:
         self._keep("causal_u", sensed.u[rows])
         self._keep("unfollowed", sensed.unfollowed[rows])
         self._keep("unbent", sensed.unbent[rows])
+        self._keep("swing", sensed.swing[rows])
         self._keep("opened", estimate.opened)
         self._keep("causal_states", sensed.states[rows])
         for reference in sensed.others:
@@ -184,6 +187,7 @@ class Stretch:
         self._keep("states", states[first:end])
         self._keep("kinds", judge.kinds(states, part)[first:end])
         self._keep("idling", judge.idling(part)[first:end])
+        self._keep("held", judge.held(states, part)[first:end])
         self._in_front = min(end, judge.span)
         self._waiting = [waiting.part(end - self._in_front)]
 
@@ -291,6 +295,7 @@ class Stretch:
         kinds = self._taken("kinds")[::every]
         unfollowed = self._sensor.power_up.probability * self._taken("unfollowed")
         variance = np.concatenate(variances) + unfollowed
+        variance += instrument.swing_variance(self._taken("swing"), self._taken("held")[::every])
         idling, unbent = self._taken("idling")[::every], self._taken("unbent")
         least = instrument.least_variances(idling, kinds, unbent)
         # at rest what comes later may have come at once: between both forms, a rectangle
