@@ -1398,23 +1398,18 @@ static inline rs_real rs_unbent(struct rigtool_sensor *s, int still)
     return s->swung > RS_SWUNG_STEPS ? lacks : (rs_real)0;
 }
 
-/* The variance of what the filter does not show of a torque that swings; where the rotor slides,
- * notes how far it does. */
-static inline rs_real rs_unshown(
+/* The variance of a torque that swings, as it was where the rotor slid last. */
+static inline rs_real rs_swing(
     struct rigtool_sensor *s, rs_real torque, enum rigtool_sensor_state state)
 {
     const struct rs_model *m = &rs_model;
     const rs_real away = torque - s->level_torque;
-    rs_real swing = s->swing;
     s->level_torque = torque - m->level_kept * away;
     if (state <= RIGTOOL_SENSOR_WITH) {
-        swing *= away * away > swing ? m->swing_grows : m->swing_falls;
-        s->swing = swing = swing > m->least_swing ? swing : m->least_swing;
+        const rs_real swing = s->swing * (away * away > s->swing ? m->swing_grows : m->swing_falls);
+        s->swing = swing > m->least_swing ? swing : m->least_swing;
     }
-    swing -= m->least_swing;
-    if (state > RIGTOOL_SENSOR_WITH && (s->creeps || state == RIGTOOL_SENSOR_STILL))
-        return m->swing_taken * swing + (swing < m->swing_held ? swing : m->swing_held);
-    return m->swing_taken * swing;
+    return s->swing - m->least_swing;
 }
 
 /* Whether there are numbers to read: currents beyond all limits end them. */
@@ -1422,7 +1417,7 @@ static inline int rs_read(struct rigtool_sensor *s)
 {
     const rs_real *c = rs_model.low_pass[RS_ORDER], d = c[RS_ORDER];
     rs_real torque = d * s->x[RS_TORQUE], variance = d * d * rs_variance(s, RS_TORQUE), half, other;
-    rs_real unbent;
+    rs_real unbent, swing;
     struct rigtool_sensor_reading *now = &s->reading;
     const rs_real *scales;
     int i, j;
@@ -1444,7 +1439,8 @@ static inline int rs_read(struct rigtool_sensor *s)
         return 1;
     }
     now->torque = torque;
-    other += rs_unshown(s, torque, now->state);
+    swing = rs_swing(s, torque, now->state);
+    other += rs_model.swing_taken * swing;
     i = now->state <= RIGTOOL_SENSOR_WITH && s->creeps ? RS_CREEPING : (int)now->state;
     scales = rs_model.scales[i];
     /* where a load has raised the noise, the deviation holds no more than is needed */
@@ -1455,6 +1451,10 @@ static inline int rs_read(struct rigtool_sensor *s)
     unbent *= rs_model.creep_variance * unbent;
     if (variance < unbent)
         variance = unbent;
+    if (now->state > RIGTOOL_SENSOR_WITH && (s->creeps || now->state == RIGTOOL_SENSOR_STILL)) {
+        swing = swing < rs_model.swing_held ? swing : rs_model.swing_held;
+        variance = variance < swing ? swing : variance;
+    }
     now->u = RS_MATH(sqrt)(variance + rs_square(scales[1] * torque) + other);
     half = rs_model.coverage * now->u;
     now->low = torque - half;

@@ -246,7 +246,7 @@ def _reading(instrument: SensorProperties, coverage_factor: float) -> dict[str, 
         "swing_grows": grows,
         "swing_falls": falls,
         "least_swing": instrument.least_swing,
-        "swing_taken": swinging.TAKEN**2 / 3,
+        "swing_taken": swinging.TAKEN_VARIANCE,
         "swing_held": instrument.held_variance,
     }
 

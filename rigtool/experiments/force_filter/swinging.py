@@ -31,8 +31,9 @@ SWING_TIME = 0.25
 LEAST_SWING = 0.5
 """Root of v0, in deviations of a stroke's friction: that of a torque that does not swing."""
 
-TAKEN = 0.05
-"""Part of the amplitude that the filter may take of a swing: what is asked of a bandwidth."""
+TAKEN_VARIANCE = 0.05**2 / 3
+"""Part of v by which u^2 grows: the filter takes up to 5 % of the amplitude, as a bandwidth states,
+a rectangle from 0 on."""
 
 OUTSIDE, AGAINST, WITH = int(State.OUTSIDE), int(State.AGAINST), int(State.WITH)
 

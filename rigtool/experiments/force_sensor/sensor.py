@@ -29,7 +29,7 @@ from rigtool.experiments.force_filter.motion_states import (
 )
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED
 from rigtool.experiments.force_filter.smoothed import Again
-from rigtool.experiments.force_filter.swinging import LEAST_SWING, TAKEN, Swinging
+from rigtool.experiments.force_filter.swinging import LEAST_SWING, TAKEN_VARIANCE, Swinging
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.intervals import uncertainty_of_kinds
 from rigtool.experiments.force_model.steps import CONTEXT_SAMPLES, FilterSteps, Sampler, Stepper
@@ -89,12 +89,16 @@ class SensorProperties:
         plant = self.model.plant(self.grid.sample_time)
         return plant.torque_factor * (plant.static + plant.housing_friction)
 
-    def least_variances(self, idling: Idling, kinds: States, unbent: Array) -> Array:
-        """Return the least variance of the torque (m,) N2 m2: `open_variances`, and that of a
-        rectangle as wide as the friction that bristles lack which are `unbent` (m,) while the rotor
-        creeps (`creeping`)."""
+    def least_variances(
+        self, idling: Idling, kinds: States, unbent: Array, swing: Array, held: Mask
+    ) -> Array:
+        """Return the least variance of the torque (m,) N2 m2: `open_variances`, that of a rectangle
+        as wide as the friction that bristles lack which are `unbent` (m,) while the rotor creeps
+        (`creeping`), and that of a `swing` (m,) N2 m2, up to `held_variance`, where friction holds
+        the rotor."""
         lacking = (self.creeping_torque * unbent) ** 2 / 3
-        return np.maximum(self.open_variances[idling, kinds], lacking)
+        hidden = np.where(held, np.minimum(swing, self.held_variance), 0.0)
+        return np.maximum(np.maximum(self.open_variances[idling, kinds], lacking), hidden)
 
     @cached_property
     def held_variance(self) -> float:
@@ -107,13 +111,6 @@ class SensorProperties:
         """Variance of a torque that does not swing, N2 m2: `swinging`."""
         factor, u = self.model.plant(self.grid.sample_time).torque_factor, self.model.uncertainty
         return (LEAST_SWING * factor * (u.stroke + u.friction_noise)) ** 2
-
-    def swing_variance(self, swing: Array, held: Mask) -> Array:
-        """Return the variance of what the filter does not show of a torque that swings (m,) N2 m2,
-        from that of the swing: a part of its amplitude, a rectangle from 0 on, and where friction
-        holds the rotor (m,) all of it, up to `held_variance`."""
-        hidden = np.where(held, np.minimum(swing, self.held_variance), 0.0)
-        return TAKEN**2 / 3 * swing + hidden
 
     def limited(self, current: Array) -> NDArray[np.bool_]:
         """Return where a current (n,) A is at its limit."""
@@ -213,9 +210,9 @@ class Sensor:
         )
         states, kinds, idling, held = self._states(moments)
         unbent = self._creeping.add(estimate.low, moments.housing, states == State.STILL)
-        least = self._instrument.least_variances(idling, kinds, unbent)
         swing = self._swinging.add(torque, states)
-        wider = variance + self._instrument.swing_variance(swing, held)
+        least = self._instrument.least_variances(idling, kinds, unbent, swing, held)
+        wider = variance + TAKEN_VARIANCE * swing
         scales = self._instrument.model.scales[1]
         deviation, opened = estimate.deviation, estimate.opened
         u = uncertainty_of_kinds(scales, deviation, torque, kinds, wider, opened, least)

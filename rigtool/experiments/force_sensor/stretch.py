@@ -20,6 +20,7 @@ from rigtool.experiments.force_filter.estimate import PIECE_STEPS, Filter
 from rigtool.experiments.force_filter.highest import highest
 from rigtool.experiments.force_filter.motion_states import LARGEST_LEARNED_RATIO, Moments, State
 from rigtool.experiments.force_filter.smoothed import ONSET_TIME, Smoother, without_delay
+from rigtool.experiments.force_filter.swinging import TAKEN_VARIANCE
 from rigtool.experiments.force_model.contacts import Contact, contacts, trial
 from rigtool.experiments.force_model.intervals import uncertainty_of_kinds
 from rigtool.experiments.force_sensor.response import Spectra
@@ -295,9 +296,10 @@ class Stretch:
         kinds = self._taken("kinds")[::every]
         unfollowed = self._sensor.power_up.probability * self._taken("unfollowed")
         variance = np.concatenate(variances) + unfollowed
-        variance += instrument.swing_variance(self._taken("swing"), self._taken("held")[::every])
+        swing, held = self._taken("swing"), self._taken("held")[::every]
+        variance += TAKEN_VARIANCE * swing
         idling, unbent = self._taken("idling")[::every], self._taken("unbent")
-        least = instrument.least_variances(idling, kinds, unbent)
+        least = instrument.least_variances(idling, kinds, unbent, swing, held)
         # at rest what comes later may have come at once: between both forms, a rectangle
         apart = torque[::every] - self._found["causal"][: self._filled["causal"]]
         least = np.maximum(least, np.where(kinds == State.STILL, apart**2 / 3, 0.0))
