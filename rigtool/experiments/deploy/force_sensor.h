@@ -141,9 +141,11 @@ struct rs_model {
     rs_real low_pass[RS_ORDER + 1][RS_ORDER + 1], settled[RS_ORDER], scales[RS_KINDS][2], coverage;
     /* what friction leaves open without a current, and where the rotor crawls besides; where the
      * rotor of a driven motor has been in its count for long */
-    rs_real no_current, open_variances[2][RS_KINDS], unseen_variance;
+    rs_real no_current, open_variances[2][RS_KINDS], held_variance;
     /* while the rotor creeps by steps: experiments/force_filter/creeping.py */
     rs_real creep_more, creep_variance;
+    /* of a torque that swings: experiments/force_filter/swinging.py */
+    rs_real level_kept, swing_grows, swing_falls, least_swing, swing_taken;
 };
 
 @DATA@
@@ -212,12 +214,19 @@ struct rigtool_sensor {
     int32_t turned, farthest;
     rs_real side, lacked;
     int rested, swung;
+    rs_real level_torque, swing; /* mean of the torque, median of how far it is away, squared */
     struct rigtool_sensor_reading reading;
 };
 
 static inline rs_real rs_square(rs_real value)
 {
     return value * value;
+}
+
+/* 1, 0 or -1. */
+static inline rs_real rs_sign(rs_real value)
+{
+    return (rs_real)(value > 0 ? 1 : value < 0 ? -1 : 0);
 }
 
 /* A value within +-limit; the C library's functions test for NaN first. */
@@ -1194,7 +1203,7 @@ static inline void rs_row(struct rigtool_sensor *s)
 {
     const struct rs_model *m = &rs_model;
     const rs_real share = (rs_real)1 / (rs_real)s->row_length, felt = m->torque_factor * share;
-    const rs_real direction = (rs_real)((s->x[RS_SPEED] > 0) - (s->x[RS_SPEED] < 0));
+    const rs_real direction = rs_sign(s->x[RS_SPEED]);
     int j;
     s->row[0] += (s->x[RS_TORQUE] + m->torque_factor * s->shown[RS_WAVES].seen) * share;
     for (j = 0; j < RS_WAVES; j++)
@@ -1222,7 +1231,7 @@ static inline rs_real rs_unfollowed(const struct rigtool_sensor *s)
     const rs_real warm = (s->temperature_before + s->temperature) / 2;
     const rs_real constant = m->constant + m->constant_slope * warm;
     const rs_real *u = s->unfollowed, growing = u[1] + size * (u[2] + size * u[3]);
-    return rs_square(m->torque_factor) * (u[0] + rs_square(constant * current) * growing);
+    return u[0] + rs_square(constant * current) * growing;
 }
 
 /* Renew now and then by what is known what each wave takes off the drive torque. */
@@ -1333,7 +1342,7 @@ static inline enum rigtool_sensor_state rs_state(struct rigtool_sensor *s, rs_re
     const int32_t oldest = full ? s->history[s->next] : s->steps ? s->history[0] : s->encoder;
     const int outside = rs_outside(s, torque, oldest, s->steps ? s->steps : 1);
     const int still = rs_still_steps(s, rs_from(s->encoder, before)) >= RS_STILL_STEPS;
-    const rs_real direction = (rs_real)((s->x[RS_SPEED] > 0) - (s->x[RS_SPEED] < 0));
+    const rs_real direction = rs_sign(s->x[RS_SPEED]);
     s->history[s->next] = s->encoder;
     s->next = s->next + 1 < RS_SPEED_STEPS ? s->next + 1 : 0;
     s->steps += !full;
@@ -1390,12 +1399,26 @@ static inline rs_real rs_unbent(struct rigtool_sensor *s, int still)
     return s->swung > RS_SWUNG_STEPS ? lacks : (rs_real)0;
 }
 
+/* The variance of a torque that swings, as it was where the rotor slid last. */
+static inline rs_real rs_swing(
+    struct rigtool_sensor *s, rs_real torque, enum rigtool_sensor_state state)
+{
+    const struct rs_model *m = &rs_model;
+    const rs_real away = torque - s->level_torque;
+    s->level_torque = torque - m->level_kept * away;
+    if (state <= RIGTOOL_SENSOR_WITH) {
+        const rs_real swing = s->swing * (away * away > s->swing ? m->swing_grows : m->swing_falls);
+        s->swing = swing > m->least_swing ? swing : m->least_swing;
+    }
+    return s->swing - m->least_swing;
+}
+
 /* Whether there are numbers to read: currents beyond all limits end them. */
 static inline int rs_read(struct rigtool_sensor *s)
 {
     const rs_real *c = rs_model.low_pass[RS_ORDER], d = c[RS_ORDER];
     rs_real torque = d * s->x[RS_TORQUE], variance = d * d * rs_variance(s, RS_TORQUE), half, other;
-    rs_real unbent;
+    rs_real unbent, swing;
     struct rigtool_sensor_reading *now = &s->reading;
     const rs_real *scales;
     int i, j;
@@ -1417,6 +1440,8 @@ static inline int rs_read(struct rigtool_sensor *s)
         return 1;
     }
     now->torque = torque;
+    swing = rs_swing(s, torque, now->state);
+    other += rs_model.swing_taken * swing;
     i = now->state <= RIGTOOL_SENSOR_WITH && s->creeps ? RS_CREEPING : (int)now->state;
     scales = rs_model.scales[i];
     /* where a load has raised the noise, the deviation holds no more than is needed */
@@ -1425,11 +1450,15 @@ static inline int rs_read(struct rigtool_sensor *s)
     if (s->idle && variance < rs_model.open_variances[s->crawls][i])
         variance = rs_model.open_variances[s->crawls][i];
     if (!s->idle && s->rested_up >= RS_UNSEEN_STEPS && s->rested_down >= RS_UNSEEN_STEPS
-        && variance < rs_model.unseen_variance)
-        variance = rs_model.unseen_variance;
+        && variance < rs_model.held_variance)
+        variance = rs_model.held_variance;
     unbent *= rs_model.creep_variance * unbent;
     if (variance < unbent)
         variance = unbent;
+    if (now->state > RIGTOOL_SENSOR_WITH && (s->creeps || now->state == RIGTOOL_SENSOR_STILL)) {
+        swing = swing < rs_model.held_variance ? swing : rs_model.held_variance;
+        variance = variance < swing ? swing : variance;
+    }
     now->u = RS_MATH(sqrt)(variance + rs_square(scales[1] * torque) + other);
     half = rs_model.coverage * now->u;
     now->low = torque - half;
@@ -1480,6 +1509,7 @@ static inline void rs_begin(struct rigtool_sensor *s)
     s->d[RS_LOAD] = rs_square(m->load_stroke);
     s->direction = s->stroke = s->side = 1;
     s->rested = -1; /* nowhere yet */
+    s->swing = m->least_swing;
     s->row_length = RS_ROW_STEPS;
     for (j = 0; j < 2; j++) {
         struct rs_hypothesis *h = &s->hypotheses[j];

@@ -16,7 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.deploy.c_header import comment
-from rigtool.experiments.force_filter import creeping, kalman, motion_states, passed, rests
+from rigtool.experiments.force_filter import (
+    creeping,
+    kalman,
+    motion_states,
+    passed,
+    rests,
+    swinging,
+)
 from rigtool.experiments.force_filter.estimate import idle_steps
 from rigtool.experiments.force_model.drive import VISCOUS
 from rigtool.experiments.force_model.steps import LONGEST_EXACT, NO_CURRENT
@@ -174,7 +181,7 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
         "wave_kept": math.exp(-step_time / lag_time),
         "wave_order": learned.orders,
         "wave_lag": lag_time,
-        "wave_unfollowed": learned.unfollowed,
+        "wave_unfollowed": plant.torque_factor**2 * learned.unfollowed,
         "wave_held": shown_ripple.LARGEST_SHOWN,
         "wave_shown": 1 - math.exp(-step_time / shown_ripple.SHOWN_TIME),
         "wave_slow": shown_ripple.HELD_LENGTHS * plant.presliding_angle / step_time,
@@ -225,16 +232,23 @@ def _states(instrument: SensorProperties) -> dict[str, Number]:
 
 
 def _reading(instrument: SensorProperties, coverage_factor: float) -> dict[str, Number]:
+    step_time = instrument.grid.step_time
+    grows, falls = swinging.factors(step_time)
     return {
-        "low_pass": passed.section(instrument.corner_hz, instrument.grid.step_time),
-        "settled": passed.settled(passed.section(instrument.corner_hz, instrument.grid.step_time)),
+        "low_pass": passed.section(instrument.corner_hz, step_time),
+        "settled": passed.settled(passed.section(instrument.corner_hz, step_time)),
         "scales": instrument.model.scales[1],
         "coverage": coverage_factor,
         "no_current": NO_CURRENT,
         "open_variances": instrument.open_variances[1:3],
-        "unseen_variance": instrument.open_variances[3, motion_states.State.STILL],
+        "held_variance": instrument.held_variance,
         "creep_more": creeping.MORE,
         "creep_variance": instrument.creeping_torque**2 / 3,
+        "level_kept": math.exp(-step_time / swinging.LEVEL_TIME),
+        "swing_grows": grows,
+        "swing_falls": falls,
+        "least_swing": instrument.least_swing,
+        "swing_taken": swinging.TAKEN_VARIANCE,
     }
 
 

@@ -183,6 +183,13 @@ class Judge:
         found: States = np.where(sliding & slow, CREEPING_KIND, states).astype(np.int32)
         return found
 
+    def held(self, states: States, moments: Moments) -> Mask:
+        """Return where friction holds the rotor, which stands still or creeps after a reversal,
+        (m,)."""
+        slow = np.abs(self._mean_speed(moments.low)) < self.reach.slow
+        found: Mask = (states == State.STILL) | ((states == State.REVERSED) & slow)
+        return found
+
     def holding(self, moments: Moments) -> Holding:
         """Return whether friction may hold what does not show, (m,): 1 where the motor has had no
         current, 2 where the rotor crawls besides, one count at most within `SPEED_TIME`; 3 where

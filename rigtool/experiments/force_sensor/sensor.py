@@ -29,11 +29,12 @@ from rigtool.experiments.force_filter.motion_states import (
 )
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED
 from rigtool.experiments.force_filter.smoothed import Again
+from rigtool.experiments.force_filter.swinging import LEAST_SWING, TAKEN_VARIANCE, Swinging
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.intervals import uncertainty_of_kinds
 from rigtool.experiments.force_model.steps import CONTEXT_SAMPLES, FilterSteps, Sampler, Stepper
 from rigtool.experiments.force_sensor.power_up import PowerUp
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, Mask
 
 AT_THE_LIMIT = 0.999
 
@@ -89,12 +90,28 @@ class SensorProperties:
         plant = self.model.plant(self.grid.sample_time)
         return plant.torque_factor * (plant.static + plant.housing_friction)
 
-    def least_variances(self, holding: Holding, kinds: States, unbent: Array) -> Array:
-        """Return the least variance of the torque (m,) N2 m2: `open_variances`, and that of a
-        rectangle as wide as the friction that bristles lack which are `unbent` (m,) while the rotor
-        creeps (`creeping`)."""
+    def least_variances(
+        self, holding: Holding, kinds: States, unbent: Array, swing: Array, held: Mask
+    ) -> Array:
+        """Return the least variance of the torque (m,) N2 m2: `open_variances`, that of a rectangle
+        as wide as the friction that bristles lack which are `unbent` (m,) while the rotor creeps
+        (`creeping`), and that of a `swing` (m,) N2 m2, up to `held_variance`, where friction holds
+        the rotor."""
         lacking = (self.creeping_torque * unbent) ** 2 / 3
-        return np.maximum(self.open_variances[holding, kinds], lacking)
+        hidden = np.where(held, np.minimum(swing, self.held_variance), 0.0)
+        return np.maximum(np.maximum(self.open_variances[holding, kinds], lacking), hidden)
+
+    @cached_property
+    def held_variance(self) -> float:
+        """Variance of a load that shows nowhere, N2 m2: what friction changes by within a count, a
+        rectangle."""
+        return float(self.open_variances[3, State.STILL])
+
+    @cached_property
+    def least_swing(self) -> float:
+        """Variance of a torque that does not swing, N2 m2: `swinging`."""
+        factor, u = self.model.plant(self.grid.sample_time).torque_factor, self.model.uncertainty
+        return (LEAST_SWING * factor * (u.stroke + u.friction_noise)) ** 2
 
     def limited(self, current: Array) -> NDArray[np.bool_]:
         """Return where a current (n,) A is at its limit."""
@@ -128,7 +145,7 @@ class Sensed:
     off the drive torque, `doubt` (m,) N m its standard deviation on the output, and `unfollowed`
     (m,) N2 m2 the variance of what is not followed if the power-up is another one; `kinds` (m,) are
     those of errors, `Judge.kinds`; `unbent` (m,) is what bristles lack of being bent where the
-    rotor creeps.
+    rotor creeps; `swing` (m,) N2 m2 is how far the torque swings.
     """
 
     estimate: Estimate
@@ -143,6 +160,7 @@ class Sensed:
     doubt: Array
     unfollowed: Array
     unbent: Array
+    swing: Array
 
 
 class Sensor:
@@ -165,6 +183,7 @@ class Sensor:
         self._before: Moments | None = None
         length = model.plant(grid.sample_time).housing_presliding_angle
         self._creeping = Creeping(instrument.count, length, grid.step_time)
+        self._swinging = Swinging(instrument.least_swing, grid.step_time)
 
     def add(self, samples: Array, *, last: bool = False) -> Sensed:
         """Return what these samples (c, n) complete; after the `last` ones nothing waits.
@@ -190,15 +209,17 @@ class Sensor:
             found[1],
             estimate.idle,
         )
-        states, kinds, holding = self._states(moments)
+        states, kinds, holding, held = self._states(moments)
         unbent = self._creeping.add(estimate.low, moments.housing, states == State.STILL)
-        least = self._instrument.least_variances(holding, kinds, unbent)
+        swing = self._swinging.add(torque, states)
+        least = self._instrument.least_variances(holding, kinds, unbent, swing, held)
+        wider = variance + TAKEN_VARIANCE * swing
         scales = self._instrument.model.scales[1]
         deviation, opened = estimate.deviation, estimate.opened
-        u = uncertainty_of_kinds(scales, deviation, torque, kinds, variance, opened, least)
+        u = uncertainty_of_kinds(scales, deviation, torque, kinds, wider, opened, least)
         doubt = np.sqrt(variance)
         own = estimate, torque, u, moments, states, kinds, found[2:], signals, less, doubt
-        return Sensed(*own, unfollowed, unbent)
+        return Sensed(*own, unfollowed, unbent, swing)
 
     def _filtered(self, signals: Signals, drive: Array) -> tuple[Estimate, Array]:
         """Return the estimate after the steps that these samples complete, with what is known of
@@ -222,14 +243,20 @@ class Sensor:
         """Standard deviation of the torque after the last step, before the low-pass, N m."""
         return self._filter.last_deviation
 
-    def _states(self, moments: Moments) -> tuple[States, States, Holding]:
-        """Return states and kinds of these steps, that follow from the steps before them, too, and
-        `Judge.holding`."""
+    def _states(self, moments: Moments) -> tuple[States, States, Holding, Mask]:
+        """Return states and kinds of these steps, that follow from the steps before them, too,
+        `Judge.holding` and `Judge.held`."""
         before = self._before
         whole = moments if before is None else Moments.joined(before, moments)
         self._before = whole.part(-self._judge.span)
         if not len(moments.low):
-            return *np.empty((2, 0), dtype=np.int32), np.empty(0, dtype=np.int8)
-        states, first = self._judge.states(whole), len(whole.low) - len(moments.low)
-        kinds, holding = self._judge.kinds(states, whole), self._judge.holding(whole)
-        return states[first:], kinds[first:], holding[first:]
+            none = np.empty(0, dtype=np.int32)
+            return none, none, none.astype(np.int8), none.astype(np.bool_)
+        judge, first = self._judge, len(whole.low) - len(moments.low)
+        states = judge.states(whole)
+        kinds, holding, held = (
+            judge.kinds(states, whole),
+            judge.holding(whole),
+            judge.held(states, whole),
+        )
+        return states[first:], kinds[first:], holding[first:], held[first:]

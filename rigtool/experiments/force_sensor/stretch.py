@@ -20,6 +20,7 @@ from rigtool.experiments.force_filter.estimate import PIECE_STEPS, Filter
 from rigtool.experiments.force_filter.highest import highest
 from rigtool.experiments.force_filter.motion_states import LARGEST_LEARNED_RATIO, Moments, State
 from rigtool.experiments.force_filter.smoothed import ONSET_TIME, Smoother, without_delay
+from rigtool.experiments.force_filter.swinging import TAKEN_VARIANCE
 from rigtool.experiments.force_model.contacts import Contact, contacts, trial
 from rigtool.experiments.force_model.intervals import uncertainty_of_kinds
 from rigtool.experiments.force_sensor.response import Spectra
@@ -41,6 +42,7 @@ ESTIMATED_TYPES = {
     "states": np.int8,
     "kinds": np.int8,
     "holding": np.int8,
+    "held": np.bool_,
     "causal": np.float64,
     "causal_u": np.float64,
     "causal_states": np.int8,
@@ -54,6 +56,7 @@ ESTIMATED_TYPES = {
     "doubt": np.float32,
     "unfollowed": np.float32,
     "unbent": np.float32,
+    "swing": np.float32,
     "opened": np.bool_,
 }
 """At each step, but for the causal torque, its u and state and the angle that was passed, which are
@@ -129,6 +132,7 @@ class Stretch:
         self._keep("causal_u", sensed.u[rows])
         self._keep("unfollowed", sensed.unfollowed[rows])
         self._keep("unbent", sensed.unbent[rows])
+        self._keep("swing", sensed.swing[rows])
         self._keep("opened", estimate.opened)
         self._keep("causal_states", sensed.states[rows])
         for reference in sensed.others:
@@ -184,6 +188,7 @@ class Stretch:
         self._keep("states", states[first:end])
         self._keep("kinds", judge.kinds(states, part)[first:end])
         self._keep("holding", judge.holding(part)[first:end])
+        self._keep("held", judge.held(states, part)[first:end])
         self._in_front = min(end, judge.span)
         self._waiting = [waiting.part(end - self._in_front)]
 
@@ -291,8 +296,10 @@ class Stretch:
         kinds = self._taken("kinds")[::every]
         unfollowed = self._sensor.power_up.probability * self._taken("unfollowed")
         variance = np.concatenate(variances) + unfollowed
+        swing, held = self._taken("swing"), self._taken("held")[::every]
+        variance += TAKEN_VARIANCE * swing
         holding, unbent = self._taken("holding")[::every], self._taken("unbent")
-        least = instrument.least_variances(holding, kinds, unbent)
+        least = instrument.least_variances(holding, kinds, unbent, swing, held)
         # at rest what comes later may have come at once: between both forms, a rectangle
         apart = torque[::every] - self._found["causal"][: self._filled["causal"]]
         least = np.maximum(least, np.where(kinds == State.STILL, apart**2 / 3, 0.0))
