@@ -139,8 +139,8 @@ struct rs_model {
     /* the reading: low-pass q' = A q + B M, y = C q + D M, and u^2 = (c s)^2 + (g y)^2 of its
      * deviation s, by state, and while the rotor creeps; the ripple's variance is added */
     rs_real low_pass[RS_ORDER + 1][RS_ORDER + 1], settled[RS_ORDER], scales[RS_KINDS][2], coverage;
-    /* what friction leaves open without a current, and where the rotor crawls besides; where the
-     * rotor of a driven motor has been in its count for long */
+    /* what friction leaves open without a current, and where the rotor crawls besides; within a
+     * count, where the rotor of a driven motor has been in it for long, or the torque swings */
     rs_real no_current, open_variances[2][RS_KINDS], held_variance;
     /* while the rotor creeps by steps: experiments/force_filter/creeping.py */
     rs_real creep_more, creep_variance;
