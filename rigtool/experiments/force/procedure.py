@@ -185,7 +185,7 @@ def _corrected(
     )
 
     if correction == "load":
-        corrected, added_u = without_load_friction(loads, recipe, tables)
+        corrected, added_u = without_load_friction(loads, recipe, tables, constant)
         found = load_rows(corrected, recipe, constant, ripple, table_u)
         return load_outcome(loads_outcome(corrected, found, recipe), found, added_u, rows)
     first, again = run.recordings_named("load_")[0], run.recordings_named(ZERO_AGAIN)

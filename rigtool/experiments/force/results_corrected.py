@@ -1,8 +1,8 @@
 """Table 8 with the disturbance of the load taken off: `measure-force --correction load|full`.
 
 `load` takes friction that grows with load off the thesis's reading, at one angle of the rising
-strokes, and puts back what the tendon's stretch takes off; what remains, by ripple that grows with
-the current, is part of its uncertainty. `full` reads the load from whole strokes, lifting and
+strokes, and puts back what the tendon's stretch takes off; ripple that grows with the current
+remains, and is part of its uncertainty. `full` reads the load from whole strokes, lifting and
 lowering, with the model learned at known loads (`experiments.load_disturbance.reading`), the torque
 constant at the motor's own temperature. A load outside the learned range has no value; near
 standstill every load has a dead band instead of a value.
@@ -36,7 +36,7 @@ from rigtool.experiments.load_disturbance.results_known_loads import reference_l
 from rigtool.experiments.load_disturbance.stored import Disturbance, disturbance_from, rising_load
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array
-from rigtool.quantity import Component, Quantity, combined, error_line, inherited, without
+from rigtool.quantity import Component, Quantity, combined, error_line, inherited
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run
 
@@ -53,15 +53,18 @@ MAX_ITERATIONS = 50
 
 
 def without_load_friction(
-    loads: Sequence[LoadReadings], recipe: Recipe, tables: Run
+    loads: Sequence[LoadReadings], recipe: Recipe, tables: Run, constant: Quantity
 ) -> tuple[list[LoadReadings], Array]:
     """Return readings without friction that grows with load and without the tendon's stretch, and
     the u that this adds, N m (loads,).
 
     `loads` begin with the one without load. Solves x + friction(x) = reading - zero for what a load
-    adds to the tendon, and takes the stretch off x. u includes that of both and what remains, of
-    ripple. The u of a load beyond the learned ones is NaN.
+    adds to the tendon, and takes the stretch off x. u includes that of both. What remains is ripple
+    and the error of scale between `constant` and the learned loads: it counts where the calibration
+    states no ripple at one angle, which has a line of its own, as has each cause of the error. The
+    u of a load beyond the learned ones is NaN.
     """
+    stated = any(line.name == ONE_ANGLE for line in constant.budget)
     disturbance = corrects(tables, recipe)
     zero = float(loads[0].values.mean())
     found, us = [loads[0]], [0.0]
@@ -73,7 +76,7 @@ def without_load_friction(
             shift = shown - rising.friction
         torque = rising.torque
         inside = float(torque.mean()) <= LARGEST_LOAD_RATIO * disturbance.torque
-        u = math.hypot(rising.u.mean(), rising.remains.mean())
+        u = math.hypot(rising.u.mean(), 0.0 if stated else rising.remains.mean())
         us.append(u if inside else math.nan)
         found.append(replace(load, values=zero + torque))
     return found, np.array(us)
@@ -85,8 +88,6 @@ def load_outcome(
     """Return the outcome `base` of readings `without_load_friction` with the u that it adds.
 
     `found` are the rows of these readings, `thesis` those of the readings before the correction.
-    What ripple adds at this angle is known by the model, and counts once: the calibration's ripple,
-    which stands for any angle, is left out.
     Raises `InsufficientDataError` where all loads are beyond the learned ones.
     """
     if np.isnan(added_u[1:]).all():
@@ -97,14 +98,11 @@ def load_outcome(
     rows = [
         row.blank()
         if math.isnan(u)
-        else replace(
-            row, mean=_also(without(row.mean, ONE_ANGLE), error_line(LOAD_FRICTION, u, "N m"))
-        )
+        else replace(row, mean=_also(row.mean, error_line(LOAD_FRICTION, u, "N m")))
         for row, u in zip(found, added_u.tolist(), strict=True)
     ]
     described = {
-        "mean_torque_u": "standard uncertainty: as for --correction none, the friction's, and what "
-        "ripple adds"
+        "mean_torque_u": "standard uncertainty: as for --correction none, and the friction's"
     }
     return _with_rows(
         base,

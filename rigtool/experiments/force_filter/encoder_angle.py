@@ -8,8 +8,10 @@ points:
 - Where edges follow each other faster, the mean itself, half a count up, is the angle at the
   middle.
 - A rotor that turns within a count, between two passages of one edge, is taken half a count beyond
-  that edge in the middle of the time between: it is as often more as less. The edge itself would
-  make both ends of a stroke up to a count short.
+  that edge, as it is as often more as less, from the first passage until the middle of the time
+  between: friction holds it where its way has ended until the torque on it has changed its side.
+  The edge itself would make both ends of a stroke up to a count short; a peak in the middle alone
+  made the mean there 0.2 counts short on three drawn rigs, held so it is 0.1.
 
 Between them the angle is interpolated monotonically (F. N. Fritsch and R. E. Carlson, SIAM J.
 Numer. Anal. 17(2) 238-246, 1980).
@@ -71,8 +73,12 @@ def interpolated(encoder: Array, place: Array) -> Array:
     angle = np.concatenate([encoder[:1] + 0.5, angle[inside], encoder[-1:] + 0.5])
     # A whole sample between two passages shows on which side of the edge the rotor turned
     turned = np.flatnonzero((np.diff(angle) == 0) & (np.diff(known) >= 2))
-    middle = (known[turned] + known[turned + 1]) / 2
-    known = np.insert(known, turned + 1, middle)
-    angle = np.insert(angle, turned + 1, encoder[middle.astype(np.intp)] + 0.5)
+    passed, time = known[turned], np.diff(known)[turned]
+    middle = passed + time / 2
+    stopped = passed + np.minimum(1.0, time / 4)
+    held = np.tile(encoder[middle.astype(np.intp)] + 0.5, 2)
+    turned = np.tile(turned, 2) + 1
+    known = np.insert(known, turned, np.concatenate([stopped, middle]))
+    angle = np.insert(angle, turned, held)
     found: Array = PchipInterpolator(known, angle)(place)
     return found

@@ -11,8 +11,9 @@ E. Parzen (Ann. Math. Statist. 32(4) 951-989, 1961; as an estimator: D. W. K. An
 59(3) 817-858, 1991).
 
 T is the additional torque in the tendon if the angle is off by one standard deviation of an even
-distribution, at each place where the rotor stays within a count for a while, as it does at a turn:
-a load then swings otherwise, alike in all cycles.
+distribution over a count, at each place where the rotor turns within one: a load then swings
+otherwise, alike in all cycles. A count that the rotor passes leaves nothing open: the angle is
+known at both of its edges (`experiments.force_filter.encoder_angle`).
 """
 
 from __future__ import annotations
@@ -33,9 +34,6 @@ from rigtool.numerics.arrays import Array
 LONGEST_TIME = 1.0
 """Time over which residuals are correlated, s. Half or twice of it changes the uncertainty of a
 tendon's stiffness by 2 %."""
-
-WITHIN_COUNT_TIME = 4e-3
-"""Time within a count from which on the angle counts as open, s: two samples of the grid."""
 
 
 def moments(problem: Problem, shape: Shape, coefficient: Array, count: float) -> Array:
@@ -71,7 +69,7 @@ def _turned(state: RecordState, count: float) -> Array:
     """Return T (k, n), N m at the motor, of a record that repeats."""
     record, spread = state.record, count / math.sqrt(12)
     more = [np.empty((0, record.angle.size))]
-    for place in _within_counts(record, count):
+    for place in _turning_counts(record, count):
         angle = record.angle.copy()
         angle[place] += spread
         other = replace(state, record=replace(record, angle=angle))
@@ -80,12 +78,13 @@ def _turned(state: RecordState, count: float) -> Array:
     return np.concatenate(more)
 
 
-def _within_counts(record: Record, count: float) -> Iterator[NDArray[np.intp]]:
-    """Yield the places along a cycle at which the rotor stays within one count."""
-    passed = np.flatnonzero(np.diff(np.floor(record.angle / count))) + 1
+def _turning_counts(record: Record, count: float) -> Iterator[NDArray[np.intp]]:
+    """Yield the places along a cycle within each count that the rotor leaves where it entered."""
+    steps = np.diff(np.floor(record.angle / count), append=np.floor(record.angle[0] / count))
+    passed = np.flatnonzero(steps)
     for first, last in pairwise([*passed, *(passed[:1] + record.angle.size)]):
-        if (last - first) * record.interval >= WITHIN_COUNT_TIME:
-            yield np.arange(first, last) % record.angle.size
+        if steps[first] * steps[last % record.angle.size] < 0:
+            yield np.arange(first + 1, last + 1) % record.angle.size
 
 
 def _correlation(records: Sequence[Record], left: Sequence[Array]) -> Array:

@@ -86,8 +86,8 @@ def grid_tables(grid: DisturbanceGrid, recipe: Recipe) -> dict[str, Table]:
 @dataclass(frozen=True, eq=False)
 class RisingLoad:
     """What a rising reading holds besides the torque (l,) N m that a load adds to the tendon:
-    `friction` that grows with it, its `u`, and what `remains` when that is taken off. `torque` is
-    that of the load at the angle of the reading, of which stretch took a part."""
+    `friction` that grows with it, and what `remains` when that is taken off. `torque` is that of
+    the load at the angle of the reading, of which stretch took a part; `u` is that of both."""
 
     friction: Array
     u: Array
@@ -119,12 +119,11 @@ def rising_load(tables: Run, recipe: Recipe, model: LearnedModel, added: Array) 
         found: Array = interpn(axes, table[column], np.stack(inside, axis=-1))
         return found[:-1] if column == "u" else found[:-1] - found[-1]
 
-    # What remains is known as well as the whole disturbance, of which friction is a part.
-    friction, whole_u = at(LOAD_FRICTION, "torque"), at(DISTURBANCE, "u")
+    friction, friction_u = at(LOAD_FRICTION, "torque"), at(LOAD_FRICTION, "u")
     stretch = carried / model.shape.stiffness
     torque = added * math.sin(position) / np.sin(position - stretch)
     number = SLIDING_PARAMETERS.index("stiffness")
     relative = math.sqrt(model.covariance[number, number])
     stretch_u = torque * stretch / np.tan(position - stretch) * relative
     sided = at(DISTURBANCE, "torque") - friction
-    return RisingLoad(friction, np.hypot(whole_u, stretch_u), sided, torque)
+    return RisingLoad(friction, np.hypot(friction_u, stretch_u), sided, torque)

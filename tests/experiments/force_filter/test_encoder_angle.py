@@ -51,3 +51,19 @@ def test_a_sample_beside_a_leap_of_counts_is_not_one_with_an_edge(way, ends):
     for number in beside:
         at = np.flatnonzero(place == number + 0.5)
         assert_allclose(angle[at], [encoder[number] + 0.5])
+
+
+@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("beyond", [0.3, 0.5, 0.7])
+def test_a_rotor_that_turns_is_held_where_its_way_has_ended(way, beyond):
+    """It comes at 0.2 counts a sample, stops at once, and creeps back after a while: the mean over
+    that time is what half a count instead of the true part makes it."""
+    place = np.arange(16 * 200) / 16 + 1 / 32
+    edge, held = 40.0, beyond - 0.5
+    come = np.minimum(edge + 0.2 * (place - 60), edge + beyond)
+    angle = np.minimum(come, edge + beyond - 1e-3 * np.maximum(place - 100, 0) ** 2)
+    encoder = np.floor(way * angle).reshape(-1, 16).mean(axis=1)
+    shown = way * interpolated(encoder, place)
+    stays = (place > 64) & (place < 90)
+    assert_allclose(shown[stays] - angle[stays], -held, rtol=0, atol=0.02)
+    assert_allclose(shown[160:800], angle[160:800], rtol=0, atol=0.02)

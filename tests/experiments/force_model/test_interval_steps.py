@@ -29,7 +29,7 @@ from rigtool.experiments.force_model.sliding_scatter import (
     LONGEST_TIME,
     _correlation,
     _turned,
-    _within_counts,
+    _turning_counts,
 )
 
 
@@ -140,13 +140,24 @@ def test_the_correlation_is_that_of_all_residuals_under_parzens_window():
     assert found[-1] == 0
 
 
-def test_places_within_a_count_last_for_two_samples_of_the_grid():
-    count, interval = 0.1, 2e-3
+def test_only_counts_left_where_they_were_entered_are_open():
+    """The edges of a count that the rotor passes tell the angle, however slowly it passes."""
+    count = 0.1
     angle = np.array([0.55, 0.61, 0.65, 0.71, 0.79, 0.78, 0.81, 0.95, 0.88, 0.76, 0.62, 0.57, 0.52])
-    record = SimpleNamespace(angle=angle, interval=interval)
-    found = [place.tolist() for place in _within_counts(record, count)]
+    found = [place.tolist() for place in _turning_counts(SimpleNamespace(angle=angle), count)]
     # counts 5 | 6 6 | 7 7 7 | 8 | 9 | 8 | 7 | 6 | 5 5, which goes on at the begin of the cycle
-    assert found == [[1, 2], [3, 4, 5], [11, 12, 0]]
+    assert found == [[7], [11, 12, 0]]
+
+
+@pytest.mark.parametrize("start", [0, 130, 500, 999])
+def test_a_stroke_is_open_at_its_two_ends_however_slow(start):
+    """Five samples of the grid a count: with all of them open, a cycle had 200 such places."""
+    way = 0.5 + np.concatenate([np.arange(500), np.arange(500, 0, -1)]) / 5
+    angle = np.roll(way, -start)
+    found = list(_turning_counts(SimpleNamespace(angle=angle), 1.0))
+    assert sorted(np.floor(angle[place]).tolist()[0] for place in found) == [0, 100]
+    assert all(len(set(np.floor(angle[place]))) == 1 for place in found)
+    assert sum(len(place) for place in found) == np.sum(np.isin(np.floor(angle), [0, 100]))
 
 
 def test_an_angle_within_a_count_is_off_by_an_even_distribution(monkeypatch):
@@ -166,7 +177,7 @@ def test_an_angle_within_a_count_is_off_by_an_even_distribution(monkeypatch):
     record = Row(angle=angle, interval=2e-3, moment=0.06, load_inertia=2e-4)
     own = Row(record=record, carried=3.0 * angle, known=SimpleNamespace(torque_factor=1.5))
     found = _turned(own, count)
-    places = [*_within_counts(record, count)]
+    places = [*_turning_counts(record, count)]
     assert len(found) == len(places) > 1
     for row, place in zip(found, places, strict=True):
         expected = np.zeros(size)

@@ -198,12 +198,13 @@ def test_what_the_bench_has_wrong_is_in_the_budget_of_the_tendon(fit, learned):
 
 
 def test_a_coarse_encoder_leaves_the_tendon_uncertain_where_the_rotor_turns(fit, learned):
-    every, number = [True] * len(fit.problem.records), SLIDING_PARAMETERS.index("stiffness")
+    """Friction of the tip changes the swing after a turn most like an angle that is off there."""
+    every, number = [True] * len(fit.problem.records), SLIDING_PARAMETERS.index("tip_friction")
     fine, coarse = (
         replace(fit, count=factor * fit.count).covariance_of(learned, every)[number, number]
-        for factor in (0.01, 20)
+        for factor in (0.01, 60)
     )
-    assert coarse > 1.2 * fine > 0
+    assert coarse > 2 * fine > 0
 
 
 def test_friction_is_given_back_wherever_it_slides(learned):

@@ -64,7 +64,7 @@ def test_a_load_comes_back_with_its_friction_and_what_remains(rig):
     np.testing.assert_allclose(found.remains, GAIN * wave * added, rtol=0.02)
 
 
-def test_u_is_that_of_the_disturbance_and_of_the_stretch(rig):
+def test_u_is_that_of_friction_and_of_the_stretch(rig):
     _, model, speed, _ = rig
     added = shown_by(MOMENTS, model)
     found = rising(rig, model, added)
@@ -76,9 +76,13 @@ def test_u_is_that_of_the_disturbance_and_of_the_stretch(rig):
     by_stiffness = (stiffer - softer) / (2 * step)
     names = ("tip_length", "stribeck_speed", "ripple_time", "stiffness")
     relative = math.sqrt(np.diag(model.covariance)[names.index("stiffness")])
-    _, by = disturbance(model, np.array([ANGLE]), added + 0.8e-3, speed, CONSTANT)
-    whole = np.einsum("pl,pq,ql->l", by[:, 0], model.covariance, by[:, 0])
-    expected = np.sqrt(whole + (by_stiffness * relative) ** 2)
+    (_, up), (_, down) = (
+        disturbance(model, np.array([ANGLE]), added + 0.8e-3, way * speed, CONSTANT)
+        for way in (1, -1)
+    )
+    by = (up - down)[:, 0] / 2
+    friction = np.einsum("pl,pq,ql->l", by, model.covariance, by)
+    expected = np.sqrt(friction + (by_stiffness * relative) ** 2)
     np.testing.assert_allclose(found.u, expected, rtol=0.02)
 
 
