@@ -107,14 +107,14 @@ NO_ATTENUATION = Sampling(0.0)
 class Ripple:
     """Ripple of one running condition: `waveforms` (revolutions, positions), offset removed.
 
-    `sampling` is that of the samples in the waveforms; `elapsed` (positions + 1,) when the rotor
-    passes the edges of the cells, from 0 to 1 of the time of a turn, None at constant speed;
+    `sampling` is that of the samples in the waveforms; `durations` (revolutions, positions) how
+    long the rotor takes for each cell, s, None where that is not known;
     `steps` (m,) the amplitudes, N m, that the loop answers the encoder's steps with at orders 1..m.
     """
 
     waveforms: Array
     sampling: Sampling = NO_ATTENUATION
-    elapsed: Array | None = None
+    durations: Array | None = None
     steps: Array | None = None
 
     @property
@@ -227,21 +227,29 @@ def spectrum(ripple: Ripple, orders: int) -> Spectrum:
 
     Raises `InsufficientDataError` where the samples do not resolve the first order.
     """
-    order = np.arange(1.0, orders + 1)
-    if ripple.sampling.highest_order < 1:
+    return scattered(coefficients(ripple.waveforms, orders, ripple.sampling), ripple.sampling)
+
+
+def scattered(found: ComplexArray, sampling: Sampling) -> Spectrum:
+    """Return orders 1..m as the mean of those of single revolutions (revolutions, m), with a noise
+    floor by their scatter.
+
+    Raises `InsufficientDataError` where the samples do not resolve the first order.
+    """
+    if sampling.highest_order < 1:
         raise InsufficientDataError(
-            f"{1 / ripple.sampling.step:.3g} samples a turn are too few, {MIN_SAMPLES_A_PERIOD:g} "
+            f"{1 / sampling.step:.3g} samples a turn are too few, {MIN_SAMPLES_A_PERIOD:g} "
             "are needed for the first order: turn more slowly, or sample faster"
         )
-    found = coefficients(ripple.waveforms, orders, ripple.sampling)
-    revolutions = len(found)
+    revolutions, orders = found.shape
+    order = np.arange(1.0, orders + 1)
     mean = found.mean(axis=0)
     if revolutions > 1:
         scatter = np.sum(np.abs(found - mean) ** 2, axis=0) / (revolutions - 1)
         floor = np.sqrt(scatter / revolutions)
     else:
         floor = neighbours_floor(np.abs(mean))
-    resolved = np.where(order <= ripple.sampling.highest_order, 1.0, np.nan)
+    resolved = np.where(order <= sampling.highest_order, 1.0, np.nan)
     return Spectrum(order, resolved * np.abs(mean), resolved * np.angle(mean), resolved * floor)
 
 

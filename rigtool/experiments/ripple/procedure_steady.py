@@ -61,11 +61,11 @@ def first_and_last(recording: Recording, channel: str, samples: range) -> tuple[
 @dataclass(frozen=True, eq=False)
 class Collected:
     """Steady revolutions of a recording, as `Revolutions` has them: `waveforms` (revolutions,
-    positions) A, with their `sampling`; `elapsed` (positions + 1,); `steps` (m,) rad, those of
-    `step_orders`; when the rotor `passed` turns, s, and the mean `current` of each, A."""
+    positions) A, with their `sampling`; `durations` (revolutions, positions) s; `steps` (m,), those
+    of `step_orders`; when the rotor `passed` turns, s, and the mean `current` of each, A."""
 
     waveforms: Array
-    elapsed: Array
+    durations: Array
     steps: Array
     forward: bool
     sampling: Sampling
@@ -99,7 +99,7 @@ def collected(
         settings = recipe.fft_ripple
         sampling = Sampling(revolutions.step, settings.record_every)
         waveforms = revolutions.waveforms(settings.revolutions)
-        elapsed = revolutions.elapsed(settings.revolutions)
+        durations = revolutions.durations(settings.revolutions)
         steps = step_orders(
             revolutions.passed(settings.revolutions),
             settings.revolutions,
@@ -108,4 +108,4 @@ def collected(
             settings.record_every,
             HIGHEST_ORDER,
         )
-    return Collected(waveforms, elapsed, steps, last > first, sampling, *revolutions.turns())
+    return Collected(waveforms, durations, steps, last > first, sampling, *revolutions.turns())

@@ -16,10 +16,11 @@ from rigtool.experiments.ripple.orders import (
     RippleComparison,
     Spectrum,
     coefficients,
+    scattered,
     spectrum,
 )
 from rigtool.experiments.ripple.shared_scatter import shared_floor
-from rigtool.experiments.ripple.varying_speed import motor_orders, speed_variation
+from rigtool.experiments.ripple.varying_speed import accelerating_orders, speed_variation
 from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.quantity import Quantity, error_line
 from rigtool.recipe import Recipe
@@ -94,7 +95,7 @@ def varying_note(recordings: Sequence[Recording], ripples: Sequence[Ripple]) -> 
 
 def _variation(ripple: Ripple) -> float:
     """Return the relative standard deviation of the speed around the turn."""
-    return 0.0 if ripple.elapsed is None else speed_variation(ripple.elapsed)
+    return 0.0 if ripple.durations is None else speed_variation(ripple.durations)
 
 
 def steps_note(recordings: Sequence[Recording], recipe: Recipe) -> list[str]:
@@ -138,41 +139,40 @@ def _loop(recipe: Recipe, frequency: Array) -> ComplexArray:
 
 def _spectrum(ripple: Ripple, recipe: Recipe, turns_per_s: float) -> tuple[Spectrum, Array, Array]:
     """Return the orders of the motor's torque, the degrees of freedom of their noise floor, and the
-    u of their amplitudes by T. No order has a value where the rotor stands in places.
+    u of their amplitudes by the inertia. No order has a value where the rotor stands in places.
 
-    T has the relative error |1 - T| times that of the inertia; what the varying speed changes has
-    that of the inertia. The encoder's steps are part of the noise floor.
+    What accelerates the inertia is as uncertain as it. The encoder's steps are part of the noise
+    floor.
     """
-    asked = spectrum(ripple, HIGHEST_ORDER)
+    order = np.arange(1.0, HIGHEST_ORDER + 1)
+    asked = coefficients(ripple.waveforms, HIGHEST_ORDER, ripple.sampling)
+    loop = _loop(recipe, order * turns_per_s)
+    # The torque of a sample is held until the next one: it acts half a sample later.
+    half = np.exp(-1j * np.pi * order * turns_per_s * recipe.rig.sample_time)
+    if ripple.durations is None:
+        found = asked / loop
+    else:
+        found = asked * half - accelerating_orders(
+            ripple.durations, recipe.rig.nominal_inertia, HIGHEST_ORDER, ripple.sampling
+        )
+    own = scattered(found, ripple.sampling)
     # Both parts of a coefficient scatter.
-    floor, dof = shared_floor(asked.order, asked.noise_floor, 2 * (len(ripple.waveforms) - 1))
-    loop = _loop(recipe, asked.order * turns_per_s)
-    followed = (np.abs(loop) >= LOWEST_FOLLOWED) & (_variation(ripple) <= STANDING_LIMIT)
-    gain = np.where(followed, np.abs(loop), np.nan)
-    found = alone = np.nan_to_num(asked.amplitude * np.exp(1j * asked.phase)) / loop
-    if ripple.elapsed is not None:
-        # A varying speed spreads what the loop asks for over all orders that the cells carry.
-        every = (ripple.waveforms.shape[1] - 1) // 2
-        resolved = coefficients(ripple.waveforms, every, ripple.sampling).mean(axis=0)
-        whole = _loop(recipe, np.arange(1.0, every + 1) * turns_per_s)
-        whole *= np.maximum(1.0, LOWEST_FOLLOWED / np.abs(whole))
-        found = motor_orders(resolved, whole, ripple.elapsed)[: len(alone)]
-    floor = floor / gain
+    floor, dof = shared_floor(order, own.noise_floor, 2 * (len(found) - 1))
+    gain = np.abs(loop)
     if ripple.steps is not None:
         plant = position_loop(**recipe.rig.loop_design).plant
-        moved = _followed_steps(recipe, turns_per_s) / np.abs(
-            plant.response(asked.order * turns_per_s)
-        )
+        moved = _followed_steps(recipe, turns_per_s) / np.abs(plant.response(order * turns_per_s))
         total = np.hypot(floor, np.maximum(ripple.steps / gain, moved))
         with np.errstate(divide="ignore", invalid="ignore"):
             dof = dof * (total / floor) ** 4  # Welch and Satterthwaite
         floor = total
-    known = np.where(np.isfinite(asked.amplitude / gain), 1.0, np.nan)
+    followed = (gain >= LOWEST_FOLLOWED) & (_variation(ripple) <= STANDING_LIMIT)
+    known = np.where(followed, 1.0, np.nan)
     motor = replace(
-        asked, amplitude=known * np.abs(found), phase=known * np.angle(found), noise_floor=floor
+        own, amplitude=known * own.amplitude, phase=known * own.phase, noise_floor=known * floor
     )
-    by_loop = INERTIA_U * np.hypot(np.abs((1 - loop) * found), np.abs(found - alone))
-    return motor, dof, by_loop
+    by_inertia = INERTIA_U * np.abs((asked * half - found).mean(axis=0))
+    return motor, dof, by_inertia
 
 
 def ripple_results(by_speed: Sequence[Ripple]) -> dict[str, Quantity]:
@@ -241,10 +241,10 @@ def condition_tables(
     turns = [recording.condition("speed") / (2 * math.pi) for recording in recordings]
     spectra, u, dof = [], [], []
     for recording, ripple, turns_per_s in zip(recordings, ripples, turns, strict=True):
-        own, free, by_loop = _spectrum(ripple, recipe, turns_per_s)
+        own, free, by_inertia = _spectrum(ripple, recipe, turns_per_s)
         constant = constants[recording.name]
         scale = own.amplitude * (constant.u or 0.0) / constant.value
-        total = np.hypot(np.hypot(own.u, by_loop), scale)
+        total = np.hypot(np.hypot(own.u, by_inertia), scale)
         known = 1 / constant.dof if constant.dof else 0.0
         with np.errstate(divide="ignore", invalid="ignore"):  # Welch and Satterthwaite
             scatter = own.u**4 / free
