@@ -82,16 +82,17 @@ class Sampling:
         sinc(x)^2  sin(pi x) / (n sin(pi x / n)),   sinc(x) = sin(pi x) / (pi x)
 
     of its amplitude, for means of n (R. N. Bracewell, The Fourier Transform and Its Applications,
-    3rd ed., 2000, ch. 10).
+    3rd ed., 2000, ch. 10). Where the speed varies, samples lie up to `fastest` times as far apart.
     """
 
     step: float
     averaged: int = 1
+    fastest: float = 1.0
 
     @property
     def highest_order(self) -> float:
         """Highest order that the samples resolve; a higher one is an alias of a lower one."""
-        return math.inf if self.step == 0 else 1 / (MIN_SAMPLES_A_PERIOD * self.step)
+        return math.inf if self.step == 0 else 1 / (MIN_SAMPLES_A_PERIOD * self.step * self.fastest)
 
     def gain(self, order: Array) -> Array:
         """Return the remaining part of the amplitude of orders (m,) up to the highest."""

@@ -13,6 +13,7 @@ from rigtool.experiments.controller_torque import naming, require_unlimited
 from rigtool.experiments.ripple.encoder_steps import step_orders
 from rigtool.experiments.ripple.orders import HIGHEST_ORDER, Sampling, cells_for
 from rigtool.experiments.ripple.revolutions import Revolutions
+from rigtool.experiments.ripple.varying_speed import fastest
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.welch import Welch
 from rigtool.recipe import Recipe
@@ -97,9 +98,9 @@ def collected(
         remedy = "lower fft_ripple.torques" if held else "turn more slowly"
         require_unlimited(largest, recipe, remedy, abs(total) / len(steady))
         settings = recipe.fft_ripple
-        sampling = Sampling(revolutions.step, settings.record_every)
         waveforms = revolutions.waveforms(settings.revolutions)
         durations = revolutions.durations(settings.revolutions)
+        sampling = Sampling(revolutions.step, settings.record_every, fastest(durations))
         steps = step_orders(
             revolutions.passed(settings.revolutions),
             settings.revolutions,

@@ -67,8 +67,9 @@ def varying_note(recordings: Sequence[Recording], ripples: Sequence[Ripple]) -> 
 
     Raises `InsufficientDataError` where it stands in all recordings.
     """
-    varying = {r.name: _variation(own) for r, own in zip(recordings, ripples, strict=True)}
-    standing = [name for name, part in varying.items() if part > STANDING_LIMIT]
+    named = {r.name: own for r, own in zip(recordings, ripples, strict=True)}
+    varying = {name: _variation(own) for name, own in named.items()}
+    standing = [name for name, own in named.items() if _leaping(own) > STANDING_LIMIT]
     notes = []
     if standing:
         sticks = (
@@ -96,6 +97,11 @@ def varying_note(recordings: Sequence[Recording], ripples: Sequence[Ripple]) -> 
 def _variation(ripple: Ripple) -> float:
     """Return the relative standard deviation of the speed around the turn."""
     return 0.0 if ripple.durations is None else speed_variation(ripple.durations)
+
+
+def _leaping(ripple: Ripple) -> float:
+    """Return the same with higher orders of the speed, which leaps have."""
+    return 0.0 if ripple.durations is None else speed_variation(ripple.durations, HIGHEST_ORDER)
 
 
 def steps_note(recordings: Sequence[Recording], recipe: Recipe) -> list[str]:
@@ -166,7 +172,7 @@ def _spectrum(ripple: Ripple, recipe: Recipe, turns_per_s: float) -> tuple[Spect
         with np.errstate(divide="ignore", invalid="ignore"):
             dof = dof * (total / floor) ** 4  # Welch and Satterthwaite
         floor = total
-    followed = (gain >= LOWEST_FOLLOWED) & (_variation(ripple) <= STANDING_LIMIT)
+    followed = (gain >= LOWEST_FOLLOWED) & (_leaping(ripple) <= STANDING_LIMIT)
     known = np.where(followed, 1.0, np.nan)
     motor = replace(
         own, amplitude=known * own.amplitude, phase=known * own.phase, noise_floor=known * floor

@@ -19,15 +19,28 @@ from rigtool.numerics.arrays import Array, ComplexArray
 SPEED_ORDERS = 30
 """Orders by which ripple varies the speed: the inertia holds higher ones."""
 
+LEAP = 10.0
+"""Largest speed over its mean that is told from a leap."""
 
-def speed_variation(durations: Array) -> float:
-    """Return the relative standard deviation of the speed around the turn.
+
+def speed_variation(durations: Array, orders: int = SPEED_ORDERS) -> float:
+    """Return the relative standard deviation of the speed around the turn, by its orders up to
+    `orders`.
 
     `durations` (revolutions, cells) as in `orders.Ripple`.
     """
     mean = durations.mean(axis=0)
-    orders = np.fft.rfft(mean / mean.mean())[1 : SPEED_ORDERS + 1] * (2 / mean.size)
-    return float(np.linalg.norm(orders)) / np.sqrt(2)
+    found = np.fft.rfft(mean / mean.mean())[1 : orders + 1] * (2 / mean.size)
+    return float(np.linalg.norm(found)) / np.sqrt(2)
+
+
+def fastest(durations: Array) -> float:
+    """Return the highest speed around the turn over its mean, at most `LEAP`, by its orders up to
+    `SPEED_ORDERS`; `durations` as in `speed_variation`."""
+    mean = durations.mean(axis=0)
+    slow = np.fft.rfft(mean / mean.mean())
+    slow[SPEED_ORDERS + 1 :] = 0.0
+    return 1 / max(float(np.fft.irfft(slow, mean.size).min()), 1 / LEAP)
 
 
 def accelerating_orders(
