@@ -271,11 +271,12 @@ def neighbours_floor(amplitude: Array) -> Array:
 
 
 def coefficients(
-    waveforms: Array, orders: int, sampling: Sampling = NO_ATTENUATION
+    waveforms: Array, orders: int, sampling: Sampling = NO_ATTENUATION, width: int = 1
 ) -> ComplexArray:
     """Return amplitude*exp(i phase) of each order 1..`orders` and revolution.
 
-    `waveforms` (revolutions, positions) are means over equal cells of the turn; returned are the
+    `waveforms` (revolutions, positions) are means over equal cells of the turn, or over as many
+    stretches of `width` cells from the beginning of each one on; returned are the
     coefficients of amplitude*cos(k angle + phase), (revolutions, orders), zero at orders that the
     samples do not resolve. Raises `ValueError` for orders that the positions do not resolve.
     """
@@ -284,9 +285,8 @@ def coefficients(
         raise ValueError(f"{positions} positions carry orders 1 to {(positions - 1) // 2}")
     order = np.arange(1.0, orders + 1)
     # A cell's value is a mean over its width, which attenuates high orders.
-    correction = (
-        2 / positions / np.sinc(order / positions) * np.exp(-1j * order * np.pi / positions)
-    )
+    part = order * width / positions
+    correction = 2 / positions / np.sinc(part) * np.exp(-1j * np.pi * part)
     resolved = order <= sampling.highest_order
     correction[resolved] /= sampling.gain(order[resolved])
     correction[~resolved] = 0.0

@@ -20,7 +20,7 @@ from rigtool.experiments.ripple.orders import (
     spectrum,
 )
 from rigtool.experiments.ripple.shared_scatter import shared_floor
-from rigtool.experiments.ripple.varying_speed import accelerating_orders, speed_variation
+from rigtool.experiments.ripple.varying_speed import motor_orders, speed_variation
 from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.quantity import Quantity, error_line
 from rigtool.recipe import Recipe
@@ -145,30 +145,31 @@ def _loop(recipe: Recipe, frequency: Array) -> ComplexArray:
 
 def _spectrum(ripple: Ripple, recipe: Recipe, turns_per_s: float) -> tuple[Spectrum, Array, Array]:
     """Return the orders of the motor's torque, the degrees of freedom of their noise floor, and the
-    u of their amplitudes by the inertia. No order has a value where the rotor stands in places.
+    u of their amplitudes by the motion. No order has a value where the rotor stands in places.
 
-    What accelerates the inertia is as uncertain as it. The encoder's steps are part of the noise
-    floor.
+    What accelerates the inertia is as uncertain as it; what cells twice as wide change, they do not
+    resolve. The encoder's steps are part of the noise floor.
     """
     order = np.arange(1.0, HIGHEST_ORDER + 1)
-    asked = coefficients(ripple.waveforms, HIGHEST_ORDER, ripple.sampling)
     loop = _loop(recipe, order * turns_per_s)
-    # The torque of a sample is held until the next one: it acts half a sample later.
-    half = np.exp(-1j * np.pi * order * turns_per_s * recipe.rig.sample_time)
+    unresolved = np.zeros(HIGHEST_ORDER)
     if ripple.durations is None:
+        asked = coefficients(ripple.waveforms, HIGHEST_ORDER, ripple.sampling)
         found = asked / loop
     else:
-        found = asked * half - accelerating_orders(
-            ripple.durations, recipe.rig.nominal_inertia, HIGHEST_ORDER, ripple.sampling
-        )
+        # The torque of a sample is held until the next one: it acts half a sample later.
+        late = np.exp(-1j * np.pi * order * turns_per_s * recipe.rig.sample_time)
+        moved = ripple, ripple.durations, recipe.rig.nominal_inertia, late
+        asked, found = motor_orders(*moved)
+        unresolved = np.abs((motor_orders(*moved, width=2)[1] - found).mean(axis=0))
     own = scattered(found, ripple.sampling)
     # Both parts of a coefficient scatter.
     floor, dof = shared_floor(order, own.noise_floor, 2 * (len(found) - 1))
     gain = np.abs(loop)
     if ripple.steps is not None:
         plant = position_loop(**recipe.rig.loop_design).plant
-        moved = _followed_steps(recipe, turns_per_s) / np.abs(plant.response(order * turns_per_s))
-        total = np.hypot(floor, np.maximum(ripple.steps / gain, moved))
+        alias = _followed_steps(recipe, turns_per_s) / np.abs(plant.response(order * turns_per_s))
+        total = np.hypot(floor, np.maximum(ripple.steps / gain, alias))
         with np.errstate(divide="ignore", invalid="ignore"):
             dof = dof * (total / floor) ** 4  # Welch and Satterthwaite
         floor = total
@@ -177,8 +178,8 @@ def _spectrum(ripple: Ripple, recipe: Recipe, turns_per_s: float) -> tuple[Spect
     motor = replace(
         own, amplitude=known * own.amplitude, phase=known * own.phase, noise_floor=known * floor
     )
-    by_inertia = INERTIA_U * np.abs((asked * half - found).mean(axis=0))
-    return motor, dof, by_inertia
+    by_inertia = INERTIA_U * np.abs((asked - found).mean(axis=0))
+    return motor, dof, np.hypot(by_inertia, unresolved)
 
 
 def ripple_results(by_speed: Sequence[Ripple]) -> dict[str, Quantity]:
@@ -247,10 +248,10 @@ def condition_tables(
     turns = [recording.condition("speed") / (2 * math.pi) for recording in recordings]
     spectra, u, dof = [], [], []
     for recording, ripple, turns_per_s in zip(recordings, ripples, turns, strict=True):
-        own, free, by_inertia = _spectrum(ripple, recipe, turns_per_s)
+        own, free, by_motion = _spectrum(ripple, recipe, turns_per_s)
         constant = constants[recording.name]
         scale = own.amplitude * (constant.u or 0.0) / constant.value
-        total = np.hypot(np.hypot(own.u, by_inertia), scale)
+        total = np.hypot(np.hypot(own.u, by_motion), scale)
         known = 1 / constant.dof if constant.dof else 0.0
         with np.errstate(divide="ignore", invalid="ignore"):  # Welch and Satterthwaite
             scatter = own.u**4 / free
@@ -282,7 +283,7 @@ def condition_tables(
                 "amplitude that scatter between revolutions, of few with the orders around, and "
                 "the encoder's steps would show alone",
             ),
-            "u": Column(u, "N m", "standard, of the amplitude: noise floor, constant, T"),
+            "u": Column(u, "N m", "standard, of the amplitude: noise floor, constant, motion"),
             "dof": dof_column(dof),
             "loop_gain": Column(
                 [np.abs(_loop(recipe, spectra[0].order * n)) for n in turns],

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rigtool.experiments.ripple.orders import Sampling, coefficients
+from rigtool.experiments.ripple.orders import Ripple, coefficients
 from rigtool.numerics.arrays import Array, ComplexArray
 
 SPEED_ORDERS = 30
@@ -43,17 +43,29 @@ def fastest(durations: Array) -> float:
     return 1 / max(float(np.fft.irfft(slow, mean.size).min()), 1 / LEAP)
 
 
-def accelerating_orders(
-    durations: Array, inertia: float, orders: int, sampling: Sampling
-) -> ComplexArray:
-    """Return orders 1..`orders` of the torque, N m, that accelerates an inertia, kg m2, in each
-    revolution, (revolutions, orders).
+def motor_orders(
+    ripple: Ripple, durations: Array, inertia: float, late: ComplexArray, width: int = 1
+) -> tuple[ComplexArray, ComplexArray]:
+    """Return orders 1..m of the torque that the loop asks for, and of the motor's ripple, N m, in
+    each revolution, both (revolutions, m).
 
-    `durations` (revolutions, cells) as in `orders.Ripple`, of samples of the angle as `sampling`
-    describes. The energy of a single revolution is linear about that of the mean durations, which
-    is then their mean: squares of what noise does to single ones would lean high.
+    `durations` (revolutions, cells) as in `orders.Ripple`; `late` (m,) turns an order of what is
+    recorded to when it acts. With a `width`, torque and speed are means over that many cells: where
+    that changes the orders, cells do not resolve the motion. The energy of a single revolution is
+    linear about that of the mean durations, which is then their mean: squares of what noise does to
+    single ones would lean high.
     """
-    mean = durations.mean(axis=0)
-    speed = 2 * np.pi / mean.size / mean
-    energy = inertia * speed**2 * (1.5 - durations / mean)
-    return 1j * np.arange(1, orders + 1) * coefficients(energy, orders, sampling)
+    cells, orders = durations.shape[1], late.size
+    taken = _stretches(durations, width)
+    asked = coefficients(
+        _stretches(ripple.waveforms * durations, width) / taken, orders, ripple.sampling, width
+    )
+    mean = taken.mean(axis=0)
+    speed = 2 * np.pi * width / cells / mean
+    energy = coefficients(inertia * speed**2 * (1.5 - taken / mean), orders, ripple.sampling, width)
+    return asked * late, asked * late - 1j * np.arange(1, orders + 1) * energy
+
+
+def _stretches(cells: Array, width: int) -> Array:
+    """Return sums over so many cells of (revolutions, cells) from each one on, around the turn."""
+    return sum((np.roll(cells, -n, axis=1) for n in range(1, width)), start=cells)
