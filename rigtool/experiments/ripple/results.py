@@ -39,7 +39,8 @@ with the speed is then an order of some per cent of it."""
 STANDING_LIMIT = 1.0
 """Relative standard deviation beyond which a rotor stands in places and leaps over others: that of
 a sine is reached where the slowest speed is a seventh of the mean. Friction of a rotor that stands
-follows its motion, so that torque is no function of the angle."""
+follows its motion, so that torque is no function of the angle. Leaps have orders of the speed up to
+`HIGHEST_ORDER`."""
 
 FOLLOWED_HARMONICS = 2
 """Harmonics of the encoder's steps whose alias the loop may follow: higher ones are weaker."""
@@ -54,10 +55,10 @@ def loop_note(recipe: Recipe, fastest: float) -> str:
     lost = np.flatnonzero(np.abs(_loop(recipe, order * fastest)) < LOWEST_FOLLOWED)
     followed = int(lost[0]) if lost.size else HIGHEST_ORDER
     return (
-        "amplitudes are those of the motor's torque: the controller's torque, divided by the "
-        "complementary sensitivity T of the recipe's controller and inertia; waveforms are what it "
-        f"asks for. Where |T| is below {LOWEST_FOLLOWED:g} there is no value: at the highest speed "
-        f"above order {followed}"
+        "amplitudes are those of the motor's torque: what the controller asks for less what "
+        "accelerates the recipe's inertia; waveforms are what it asks for. Where the complementary "
+        f"sensitivity |T| of the loop is below {LOWEST_FOLLOWED:g} there is no value: at the "
+        f"highest speed above order {followed}"
     )
 
 

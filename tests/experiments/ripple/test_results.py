@@ -209,6 +209,26 @@ def test_what_the_loop_asks_for_holds_the_ripple_and_accelerates_the_inertia():
         assert found["u"][0][order - 1] == pytest.approx(swing[order - 1] * INERTIA_U, rel=0.05)
 
 
+def test_a_place_where_the_rotor_dwells_is_as_uncertain_as_cells_resolve_it():
+    """A cell that takes three times as long: what it does to orders is not known from cells."""
+    recipe, _ = load_recipe(RECIPE, ())
+    taken = np.full((12, POSITIONS), 2 * np.pi / 3.0 / POSITIONS)
+    turning = SimpleNamespace(name="0", condition=lambda name: 3.0)
+    constants = {"0": Quantity(0.05, "N m/A", 0.0)}
+
+    def u(durations):
+        made = replace(ripple({4: 1e-3}, 12, noise=1e-7), durations=durations)
+        tables = condition_tables("speed", "speed", "rad/s", [turning], [made], constants, recipe)
+        return tables["speed_spectrum"]["u"][0]
+
+    dwelling = taken * np.where(np.arange(POSITIONS) == 90, 3.0, 1.0)
+    energy = recipe.rig.nominal_inertia * 3.0**2 / 2
+    lost = energy * np.array([1 - 1 / 9, 2 * (1 - 1 / 4)])  # one cell, or two of twice the time
+    changed = 40 * np.abs(np.diff(lost))[0] * 2 / POSITIONS
+    assert u(taken)[39] < 0.01 * changed
+    assert u(dwelling)[39] == pytest.approx(changed, rel=0.1)
+
+
 def test_steps_of_the_encoder_are_part_of_the_floor_with_t_taken_off():
     """Twice what scatter shows in what the loop asks for."""
     recipe, _ = load_recipe(RECIPE, ())
