@@ -36,6 +36,7 @@ from rigtool.experiments.plant.procedure_excitation import (
     period_samples,
 )
 from rigtool.experiments.procedure import Procedure
+from rigtool.experiments.ripple.procedure import ACCELERATION, SETTLE_TIME
 from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
 from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
 from rigtool.experiments.torque_constant.staircases.model import HEATING_TIME
@@ -235,7 +236,11 @@ def compare_ripple(outcome: Outcome, recipe: Recipe) -> Compared:
     winding = Winding(recipe)
     conditions = [("speed", 0, speed, 0.0, recipe.virtual.thermal.ambient_degc)]
     for number, torque in enumerate(sorted(recipe.fft_ripple.torques)):
-        degc = winding.after(torque, (recipe.fft_ripple.revolutions + 1.1) * 2 * math.pi / slow)
+        before = slow / ACCELERATION + SETTLE_TIME
+        lead = before + 0.6 * 2 * math.pi / slow  # turns are cut at the encoder's zero
+        turns = recipe.fft_ripple.revolutions * 2 * math.pi / slow
+        degc = winding.after(torque, lead, turns)
+        winding.after(torque, 0.0, before + 1.1 * 2 * math.pi / slow - lead + slow / ACCELERATION)
         conditions.append(("torque", number, slow, torque, degc))
     for kind, row, turning, torque, degc in conditions:
         table = outcome.tables[f"{kind}_spectrum"].columns
@@ -258,11 +263,13 @@ class Winding:
         self._virtual = recipe.virtual
         self._winding = self._housing = recipe.virtual.thermal.ambient_degc
 
-    def after(self, torque: float, duration: float) -> float:
-        """Return the mean temperature, degC, over this time, s, under this torque, N m."""
+    def after(self, torque: float, lead: float, duration: float) -> float:
+        """Return the mean temperature, degC, over this time, s, under this torque, N m, which has
+        acted for the time `lead`, s, before."""
         heat, motor, sum_, steps = self._virtual.thermal, self._virtual.motor, 0.0, 2000
-        step = duration / steps
-        for _ in range(steps):
+        step = (lead + duration) / steps
+        counted = range(round(steps * lead / (lead + duration)), steps)
+        for number in range(steps):
             constant = motor.torque_constant * (
                 1 + motor.torque_constant_temperature_coefficient * (self._winding - 20)
             )
@@ -272,8 +279,8 @@ class Winding:
             loss = (self._housing - heat.ambient_degc) / heat.housing_to_ambient
             self._winding += step * (resistance * current**2 - flow) / heat.winding_capacity
             self._housing += step * (flow - loss) / heat.housing_capacity
-            sum_ += self._winding
-        return sum_ / steps
+            sum_ += self._winding * (number in counted)
+        return sum_ / len(counted)
 
 
 def true_orders(recipe: Recipe, speed: float, load: float, degc: float) -> np.ndarray:

@@ -82,16 +82,17 @@ class Sampling:
         sinc(x)^2  sin(pi x) / (n sin(pi x / n)),   sinc(x) = sin(pi x) / (pi x)
 
     of its amplitude, for means of n (R. N. Bracewell, The Fourier Transform and Its Applications,
-    3rd ed., 2000, ch. 10).
+    3rd ed., 2000, ch. 10). Where the speed varies, samples lie up to `fastest` times as far apart.
     """
 
     step: float
     averaged: int = 1
+    fastest: float = 1.0
 
     @property
     def highest_order(self) -> float:
         """Highest order that the samples resolve; a higher one is an alias of a lower one."""
-        return math.inf if self.step == 0 else 1 / (MIN_SAMPLES_A_PERIOD * self.step)
+        return math.inf if self.step == 0 else 1 / (MIN_SAMPLES_A_PERIOD * self.step * self.fastest)
 
     def gain(self, order: Array) -> Array:
         """Return the remaining part of the amplitude of orders (m,) up to the highest."""
@@ -107,14 +108,14 @@ NO_ATTENUATION = Sampling(0.0)
 class Ripple:
     """Ripple of one running condition: `waveforms` (revolutions, positions), offset removed.
 
-    `sampling` is that of the samples in the waveforms; `elapsed` (positions + 1,) when the rotor
-    passes the edges of the cells, from 0 to 1 of the time of a turn, None at constant speed;
+    `sampling` is that of the samples in the waveforms; `durations` (revolutions, positions) how
+    long the rotor takes for each cell, s, None where that is not known;
     `steps` (m,) the amplitudes, N m, that the loop answers the encoder's steps with at orders 1..m.
     """
 
     waveforms: Array
     sampling: Sampling = NO_ATTENUATION
-    elapsed: Array | None = None
+    durations: Array | None = None
     steps: Array | None = None
 
     @property
@@ -227,21 +228,29 @@ def spectrum(ripple: Ripple, orders: int) -> Spectrum:
 
     Raises `InsufficientDataError` where the samples do not resolve the first order.
     """
-    order = np.arange(1.0, orders + 1)
-    if ripple.sampling.highest_order < 1:
+    return scattered(coefficients(ripple.waveforms, orders, ripple.sampling), ripple.sampling)
+
+
+def scattered(found: ComplexArray, sampling: Sampling) -> Spectrum:
+    """Return orders 1..m as the mean of those of single revolutions (revolutions, m), with a noise
+    floor by their scatter.
+
+    Raises `InsufficientDataError` where the samples do not resolve the first order.
+    """
+    if sampling.highest_order < 1:
         raise InsufficientDataError(
-            f"{1 / ripple.sampling.step:.3g} samples a turn are too few, {MIN_SAMPLES_A_PERIOD:g} "
+            f"{1 / sampling.step:.3g} samples a turn are too few, {MIN_SAMPLES_A_PERIOD:g} "
             "are needed for the first order: turn more slowly, or sample faster"
         )
-    found = coefficients(ripple.waveforms, orders, ripple.sampling)
-    revolutions = len(found)
+    revolutions, orders = found.shape
+    order = np.arange(1.0, orders + 1)
     mean = found.mean(axis=0)
     if revolutions > 1:
         scatter = np.sum(np.abs(found - mean) ** 2, axis=0) / (revolutions - 1)
         floor = np.sqrt(scatter / revolutions)
     else:
         floor = neighbours_floor(np.abs(mean))
-    resolved = np.where(order <= ripple.sampling.highest_order, 1.0, np.nan)
+    resolved = np.where(order <= sampling.highest_order, 1.0, np.nan)
     return Spectrum(order, resolved * np.abs(mean), resolved * np.angle(mean), resolved * floor)
 
 
@@ -262,11 +271,12 @@ def neighbours_floor(amplitude: Array) -> Array:
 
 
 def coefficients(
-    waveforms: Array, orders: int, sampling: Sampling = NO_ATTENUATION
+    waveforms: Array, orders: int, sampling: Sampling = NO_ATTENUATION, width: int = 1
 ) -> ComplexArray:
     """Return amplitude*exp(i phase) of each order 1..`orders` and revolution.
 
-    `waveforms` (revolutions, positions) are means over equal cells of the turn; returned are the
+    `waveforms` (revolutions, positions) are means over equal cells of the turn, or over as many
+    stretches of `width` cells from the beginning of each one on; returned are the
     coefficients of amplitude*cos(k angle + phase), (revolutions, orders), zero at orders that the
     samples do not resolve. Raises `ValueError` for orders that the positions do not resolve.
     """
@@ -275,9 +285,8 @@ def coefficients(
         raise ValueError(f"{positions} positions carry orders 1 to {(positions - 1) // 2}")
     order = np.arange(1.0, orders + 1)
     # A cell's value is a mean over its width, which attenuates high orders.
-    correction = (
-        2 / positions / np.sinc(order / positions) * np.exp(-1j * order * np.pi / positions)
-    )
+    part = order * width / positions
+    correction = 2 / positions / np.sinc(part) * np.exp(-1j * np.pi * part)
     resolved = order <= sampling.highest_order
     correction[resolved] /= sampling.gain(order[resolved])
     correction[~resolved] = 0.0

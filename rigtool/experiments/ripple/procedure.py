@@ -164,7 +164,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     ripples = [
         replace(
             remove_offset(own.waveforms * per_ampere, own.sampling),
-            elapsed=own.elapsed,
+            durations=own.durations,
             steps=own.steps,
         )
         for own, per_ampere in zip(found, per_amperes, strict=True)

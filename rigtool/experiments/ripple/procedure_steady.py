@@ -13,6 +13,7 @@ from rigtool.experiments.controller_torque import naming, require_unlimited
 from rigtool.experiments.ripple.encoder_steps import step_orders
 from rigtool.experiments.ripple.orders import HIGHEST_ORDER, Sampling, cells_for
 from rigtool.experiments.ripple.revolutions import Revolutions
+from rigtool.experiments.ripple.varying_speed import fastest
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.welch import Welch
 from rigtool.recipe import Recipe
@@ -61,11 +62,11 @@ def first_and_last(recording: Recording, channel: str, samples: range) -> tuple[
 @dataclass(frozen=True, eq=False)
 class Collected:
     """Steady revolutions of a recording, as `Revolutions` has them: `waveforms` (revolutions,
-    positions) A, with their `sampling`; `elapsed` (positions + 1,); `steps` (m,) rad, those of
-    `step_orders`; when the rotor `passed` turns, s, and the mean `current` of each, A."""
+    positions) A, with their `sampling`; `durations` (revolutions, positions) s; `steps` (m,), those
+    of `step_orders`; when the rotor `passed` turns, s, and the mean `current` of each, A."""
 
     waveforms: Array
-    elapsed: Array
+    durations: Array
     steps: Array
     forward: bool
     sampling: Sampling
@@ -97,9 +98,9 @@ def collected(
         remedy = "lower fft_ripple.torques" if held else "turn more slowly"
         require_unlimited(largest, recipe, remedy, abs(total) / len(steady))
         settings = recipe.fft_ripple
-        sampling = Sampling(revolutions.step, settings.record_every)
         waveforms = revolutions.waveforms(settings.revolutions)
-        elapsed = revolutions.elapsed(settings.revolutions)
+        durations = revolutions.durations(settings.revolutions)
+        sampling = Sampling(revolutions.step, settings.record_every, fastest(durations))
         steps = step_orders(
             revolutions.passed(settings.revolutions),
             settings.revolutions,
@@ -108,4 +109,4 @@ def collected(
             settings.record_every,
             HIGHEST_ORDER,
         )
-    return Collected(waveforms, elapsed, steps, last > first, sampling, *revolutions.turns())
+    return Collected(waveforms, durations, steps, last > first, sampling, *revolutions.turns())

@@ -16,6 +16,7 @@ from rigtool.experiments.ripple.orders import (
     RippleComparison,
     Spectrum,
     coefficients,
+    scattered,
     spectrum,
 )
 from rigtool.experiments.ripple.shared_scatter import shared_floor
@@ -38,7 +39,8 @@ with the speed is then an order of some per cent of it."""
 STANDING_LIMIT = 1.0
 """Relative standard deviation beyond which a rotor stands in places and leaps over others: that of
 a sine is reached where the slowest speed is a seventh of the mean. Friction of a rotor that stands
-follows its motion, so that torque is no function of the angle."""
+follows its motion, so that torque is no function of the angle. Leaps have orders of the speed up to
+`HIGHEST_ORDER`."""
 
 FOLLOWED_HARMONICS = 2
 """Harmonics of the encoder's steps whose alias the loop may follow: higher ones are weaker."""
@@ -53,10 +55,10 @@ def loop_note(recipe: Recipe, fastest: float) -> str:
     lost = np.flatnonzero(np.abs(_loop(recipe, order * fastest)) < LOWEST_FOLLOWED)
     followed = int(lost[0]) if lost.size else HIGHEST_ORDER
     return (
-        "amplitudes are those of the motor's torque: the controller's torque, divided by the "
-        "complementary sensitivity T of the recipe's controller and inertia; waveforms are what it "
-        f"asks for. Where |T| is below {LOWEST_FOLLOWED:g} there is no value: at the highest speed "
-        f"above order {followed}"
+        "amplitudes are those of the motor's torque: what the controller asks for less what "
+        "accelerates the recipe's inertia; waveforms are what it asks for. Where the complementary "
+        f"sensitivity |T| of the loop is below {LOWEST_FOLLOWED:g} there is no value: at the "
+        f"highest speed above order {followed}"
     )
 
 
@@ -66,8 +68,9 @@ def varying_note(recordings: Sequence[Recording], ripples: Sequence[Ripple]) -> 
 
     Raises `InsufficientDataError` where it stands in all recordings.
     """
-    varying = {r.name: _variation(own) for r, own in zip(recordings, ripples, strict=True)}
-    standing = [name for name, part in varying.items() if part > STANDING_LIMIT]
+    named = {r.name: own for r, own in zip(recordings, ripples, strict=True)}
+    varying = {name: _variation(own) for name, own in named.items()}
+    standing = [name for name, own in named.items() if _leaping(own) > STANDING_LIMIT]
     notes = []
     if standing:
         sticks = (
@@ -94,7 +97,12 @@ def varying_note(recordings: Sequence[Recording], ripples: Sequence[Ripple]) -> 
 
 def _variation(ripple: Ripple) -> float:
     """Return the relative standard deviation of the speed around the turn."""
-    return 0.0 if ripple.elapsed is None else speed_variation(ripple.elapsed)
+    return 0.0 if ripple.durations is None else speed_variation(ripple.durations)
+
+
+def _leaping(ripple: Ripple) -> float:
+    """Return the same with higher orders of the speed, which leaps have."""
+    return 0.0 if ripple.durations is None else speed_variation(ripple.durations, HIGHEST_ORDER)
 
 
 def steps_note(recordings: Sequence[Recording], recipe: Recipe) -> list[str]:
@@ -138,41 +146,41 @@ def _loop(recipe: Recipe, frequency: Array) -> ComplexArray:
 
 def _spectrum(ripple: Ripple, recipe: Recipe, turns_per_s: float) -> tuple[Spectrum, Array, Array]:
     """Return the orders of the motor's torque, the degrees of freedom of their noise floor, and the
-    u of their amplitudes by T. No order has a value where the rotor stands in places.
+    u of their amplitudes by the motion. No order has a value where the rotor stands in places.
 
-    T has the relative error |1 - T| times that of the inertia; what the varying speed changes has
-    that of the inertia. The encoder's steps are part of the noise floor.
+    What accelerates the inertia is as uncertain as it; what cells twice as wide change, they do not
+    resolve. The encoder's steps are part of the noise floor.
     """
-    asked = spectrum(ripple, HIGHEST_ORDER)
+    order = np.arange(1.0, HIGHEST_ORDER + 1)
+    loop = _loop(recipe, order * turns_per_s)
+    unresolved = np.zeros(HIGHEST_ORDER)
+    if ripple.durations is None:
+        asked = coefficients(ripple.waveforms, HIGHEST_ORDER, ripple.sampling)
+        found = asked / loop
+    else:
+        # The torque of a sample is held until the next one: it acts half a sample later.
+        late = np.exp(-1j * np.pi * order * turns_per_s * recipe.rig.sample_time)
+        moved = ripple, ripple.durations, recipe.rig.nominal_inertia, late
+        asked, found = motor_orders(*moved)
+        unresolved = np.abs((motor_orders(*moved, width=2)[1] - found).mean(axis=0))
+    own = scattered(found, ripple.sampling)
     # Both parts of a coefficient scatter.
-    floor, dof = shared_floor(asked.order, asked.noise_floor, 2 * (len(ripple.waveforms) - 1))
-    loop = _loop(recipe, asked.order * turns_per_s)
-    followed = (np.abs(loop) >= LOWEST_FOLLOWED) & (_variation(ripple) <= STANDING_LIMIT)
-    gain = np.where(followed, np.abs(loop), np.nan)
-    found = alone = np.nan_to_num(asked.amplitude * np.exp(1j * asked.phase)) / loop
-    if ripple.elapsed is not None:
-        # A varying speed spreads what the loop asks for over all orders that the cells carry.
-        every = (ripple.waveforms.shape[1] - 1) // 2
-        resolved = coefficients(ripple.waveforms, every, ripple.sampling).mean(axis=0)
-        whole = _loop(recipe, np.arange(1.0, every + 1) * turns_per_s)
-        whole *= np.maximum(1.0, LOWEST_FOLLOWED / np.abs(whole))
-        found = motor_orders(resolved, whole, ripple.elapsed)[: len(alone)]
-    floor = floor / gain
+    floor, dof = shared_floor(order, own.noise_floor, 2 * (len(found) - 1))
+    gain = np.abs(loop)
     if ripple.steps is not None:
         plant = position_loop(**recipe.rig.loop_design).plant
-        moved = _followed_steps(recipe, turns_per_s) / np.abs(
-            plant.response(asked.order * turns_per_s)
-        )
-        total = np.hypot(floor, np.maximum(ripple.steps / gain, moved))
+        alias = _followed_steps(recipe, turns_per_s) / np.abs(plant.response(order * turns_per_s))
+        total = np.hypot(floor, np.maximum(ripple.steps / gain, alias))
         with np.errstate(divide="ignore", invalid="ignore"):
             dof = dof * (total / floor) ** 4  # Welch and Satterthwaite
         floor = total
-    known = np.where(np.isfinite(asked.amplitude / gain), 1.0, np.nan)
+    followed = (gain >= LOWEST_FOLLOWED) & (_leaping(ripple) <= STANDING_LIMIT)
+    known = np.where(followed, 1.0, np.nan)
     motor = replace(
-        asked, amplitude=known * np.abs(found), phase=known * np.angle(found), noise_floor=floor
+        own, amplitude=known * own.amplitude, phase=known * own.phase, noise_floor=known * floor
     )
-    by_loop = INERTIA_U * np.hypot(np.abs((1 - loop) * found), np.abs(found - alone))
-    return motor, dof, by_loop
+    by_inertia = INERTIA_U * np.abs((asked - found).mean(axis=0))
+    return motor, dof, np.hypot(by_inertia, unresolved)
 
 
 def ripple_results(by_speed: Sequence[Ripple]) -> dict[str, Quantity]:
@@ -241,10 +249,10 @@ def condition_tables(
     turns = [recording.condition("speed") / (2 * math.pi) for recording in recordings]
     spectra, u, dof = [], [], []
     for recording, ripple, turns_per_s in zip(recordings, ripples, turns, strict=True):
-        own, free, by_loop = _spectrum(ripple, recipe, turns_per_s)
+        own, free, by_motion = _spectrum(ripple, recipe, turns_per_s)
         constant = constants[recording.name]
         scale = own.amplitude * (constant.u or 0.0) / constant.value
-        total = np.hypot(np.hypot(own.u, by_loop), scale)
+        total = np.hypot(np.hypot(own.u, by_motion), scale)
         known = 1 / constant.dof if constant.dof else 0.0
         with np.errstate(divide="ignore", invalid="ignore"):  # Welch and Satterthwaite
             scatter = own.u**4 / free
@@ -276,7 +284,7 @@ def condition_tables(
                 "amplitude that scatter between revolutions, of few with the orders around, and "
                 "the encoder's steps would show alone",
             ),
-            "u": Column(u, "N m", "standard, of the amplitude: noise floor, constant, T"),
+            "u": Column(u, "N m", "standard, of the amplitude: noise floor, constant, motion"),
             "dof": dof_column(dof),
             "loop_gain": Column(
                 [np.abs(_loop(recipe, spectra[0].order * n)) for n in turns],

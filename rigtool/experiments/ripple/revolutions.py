@@ -119,15 +119,11 @@ class Revolutions:
         last = (passed.size - 1) // self._positions * self._positions
         return passed[last - revolutions * self._positions : last + 1]
 
-    def elapsed(self, revolutions: int) -> Array:
-        """Return when the rotor passes the edges of the cells, (positions + 1,), from 0 to 1 of the
-        time of a turn: the mean of the last `revolutions` whole turns."""
-        turns = self.passed(revolutions)
-        edges = np.arange(self._positions + 1)
-        each = turns[edges + self._positions * np.arange(revolutions)[:, None]]
-        mean: Array = each.mean(axis=0)
-        part = (mean - mean[0]) / (mean[-1] - mean[0])
-        return part if self._forward else 1 - part[::-1]
+    def durations(self, revolutions: int) -> Array:
+        """Return how long the rotor takes for each cell in the last `revolutions` whole turns,
+        (revolutions, positions), s, the cells in the order of their angle."""
+        taken: Array = np.diff(self.passed(revolutions)).reshape(revolutions, self._positions)
+        return taken if self._forward else taken[:, ::-1]
 
     def waveforms(self, revolutions: int) -> Array:
         """Return the mean torque by revolution and cell, of the last `revolutions` whole turns.

@@ -1,59 +1,71 @@
 """Ripple of the motor where the position loop lets it vary the speed.
 
-The loop answers to a torque over time, ripple is a function of the angle:
+The torque that a loop asks for holds the motor's ripple and accelerates its inertia J. Over the
+angle, acceleration is the slope of the kinetic energy,
 
-    controller torque(t) = T d(t),   d(t) = ripple(angle(t))
+    controller torque(angle) = ripple(angle) + J d(w^2/2)/d(angle),
 
-with the complementary sensitivity T. Where the speed varies, an order of the angle is no single
-frequency: strong orders k and j make the controller's torque over the angle have orders k + j and
-|k - j|, which no motor makes. T is therefore taken off over time, and the orders are those of
-d over the angle. When the rotor passes an angle, its encoder shows.
+at any speed w around the turn: an order k of the energy is i k of it in the torque. How long the
+rotor takes for each cell of the turn shows w.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from rigtool.experiments.ripple.orders import Ripple, coefficients
 from rigtool.numerics.arrays import Array, ComplexArray
-
-POINTS = 16384
-"""Points of a turn between which waves are straight: order 100 loses a ten-thousandth."""
 
 SPEED_ORDERS = 30
 """Orders by which ripple varies the speed: the inertia holds higher ones."""
 
+LEAP = 10.0
+"""Largest speed over its mean that is told from a leap."""
 
-def speed_variation(elapsed: Array) -> float:
-    """Return the relative standard deviation of the speed around the turn.
 
-    `elapsed` (n,) at the edges of n - 1 cells, as in `orders.Ripple`.
+def speed_variation(durations: Array, orders: int = SPEED_ORDERS) -> float:
+    """Return the relative standard deviation of the speed around the turn, by its orders up to
+    `orders`.
+
+    `durations` (revolutions, cells) as in `orders.Ripple`.
     """
-    cells = len(elapsed) - 1
-    late = np.fft.rfft(elapsed[:-1] - np.arange(cells) / cells)[1 : SPEED_ORDERS + 1] * (2 / cells)
-    return float(np.linalg.norm(2 * np.pi * np.arange(1, len(late) + 1) * late)) / np.sqrt(2)
+    mean = durations.mean(axis=0)
+    found = np.fft.rfft(mean / mean.mean())[1 : orders + 1] * (2 / mean.size)
+    return float(np.linalg.norm(found)) / np.sqrt(2)
 
 
-def motor_orders(asked: ComplexArray, loop: ComplexArray, elapsed: Array) -> ComplexArray:
-    """Return the orders 1..m of the motor's torque over the angle from those of the controller's.
+def fastest(durations: Array) -> float:
+    """Return the highest speed around the turn over its mean, at most `LEAP`, by its orders up to
+    `SPEED_ORDERS`; `durations` as in `speed_variation`."""
+    mean = durations.mean(axis=0)
+    slow = np.fft.rfft(mean / mean.mean())
+    slow[SPEED_ORDERS + 1 :] = 0.0
+    return 1 / max(float(np.fft.irfft(slow, mean.size).min()), 1 / LEAP)
 
-    `asked` and `loop`, T at each order, (m,); `elapsed` (n + 1,) as in `orders.Ripple`.
+
+def motor_orders(
+    ripple: Ripple, durations: Array, inertia: float, late: ComplexArray, width: int = 1
+) -> tuple[ComplexArray, ComplexArray]:
+    """Return orders 1..m of the torque that the loop asks for, and of the motor's ripple, N m, in
+    each revolution, both (revolutions, m).
+
+    `durations` (revolutions, cells) as in `orders.Ripple`; `late` (m,) turns an order of what is
+    recorded to when it acts. With a `width`, torque and speed are means over that many cells: where
+    that changes the orders, cells do not resolve the motion. The energy of a single revolution is
+    linear about that of the mean durations, which is then their mean: squares of what noise does to
+    single ones would lean high.
     """
-    cells = len(elapsed) - 1
-    late = np.fft.rfft(elapsed[:-1] - np.arange(cells) / cells)
-    # Two orders of the speed make their sum, too; beyond are the steps of the encoder.
-    late[2 * SPEED_ORDERS + 1 :] = 0.0
-    angle = np.arange(POINTS) / POINTS
-    time = angle + np.fft.irfft(late * (POINTS / cells), POINTS)
-    over_time = np.interp(angle, time, _wave(asked), period=1.0)
-    ripple = _wave(_orders(over_time, len(asked)) / loop)
-    return _orders(np.interp(time, angle, ripple, period=1.0), len(asked))
+    cells, orders = durations.shape[1], late.size
+    taken = _stretches(durations, width)
+    asked = coefficients(
+        _stretches(ripple.waveforms * durations, width) / taken, orders, ripple.sampling, width
+    )
+    mean = taken.mean(axis=0)
+    speed = 2 * np.pi * width / cells / mean
+    energy = coefficients(inertia * speed**2 * (1.5 - taken / mean), orders, ripple.sampling, width)
+    return asked * late, asked * late - 1j * np.arange(1, orders + 1) * energy
 
 
-def _wave(orders: ComplexArray) -> Array:
-    spectrum = np.zeros(POINTS // 2 + 1, dtype=np.complex128)
-    spectrum[1 : len(orders) + 1] = orders * (POINTS / 2)
-    return np.fft.irfft(spectrum, POINTS)
-
-
-def _orders(wave: Array, count: int) -> ComplexArray:
-    return np.asarray(np.fft.rfft(wave)[1 : count + 1] * (2 / POINTS))
+def _stretches(cells: Array, width: int) -> Array:
+    """Return sums over so many cells of (revolutions, cells) from each one on, around the turn."""
+    return sum((np.roll(cells, -n, axis=1) for n in range(1, width)), start=cells)

@@ -69,6 +69,7 @@ def test_the_rms_of_orders_has_what_the_u_of_each_changes():
 def test_orders_are_there_up_to_the_highest_that_samples_resolve():
     sampling = Sampling(0.05)
     assert sampling.highest_order == 8.0
+    assert Sampling(0.05, fastest=2.0).highest_order == 4.0  # twice as far apart in places
     found = coefficients(np.random.default_rng(2).standard_normal((3, 64)), 20, sampling)
     np.testing.assert_array_equal(found != 0, np.tile(np.arange(1, 21) <= 8, (3, 1)))
 

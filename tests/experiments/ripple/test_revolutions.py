@@ -88,13 +88,12 @@ def test_what_it_cannot_use_is_refused():
 
 
 @pytest.mark.parametrize("forward", [True, False])
-def test_when_edges_are_passed_is_the_mean_over_turns(forward):
+def test_how_long_cells_take_by_turn_and_angle(forward):
     time = np.arange(40001) * 1e-3
     steady = time / 8
     turns = steady + 0.02 * np.sin(2 * np.pi * steady)
     found = collected(time, turns if forward else 5 - turns, np.ones_like(time), forward)
-    elapsed = found.elapsed(3)
     edges = np.arange(CELLS + 1) / CELLS
-    place = edges if forward else 1 - edges[::-1]
-    passed = np.interp(place, turns, steady)
-    np.testing.assert_allclose(elapsed, passed if forward else 1 - passed[::-1], atol=1e-3)
+    taken = np.diff(np.interp(edges, turns, time))
+    expected = np.tile(taken if forward else taken[::-1], (3, 1))
+    np.testing.assert_allclose(found.durations(3), expected, atol=1e-3)
