@@ -7,7 +7,8 @@ beyond. Errors e are normal with standard uncertainties u, all larger by the sam
 scatter more. K, v and the factor are unknown; beta averages over all of them, each weighted by how
 probable the values y are with it (D. J. C. MacKay, Neural Computation 4, 415-447, 1992). Orders
 that the angles cannot separate from X, or from each other, are thus part of the uncertainty of
-beta, as large as the resolved orders suggest.
+beta, as large as the resolved orders suggest. What scatters beyond u may as well be orders above
+K: with a probability of a half it counts for how far the values deviate over a turn.
 """
 
 from __future__ import annotations
@@ -100,7 +101,8 @@ def fit_angle_effects(
         _as_student(probable, mean[:, k], np.sqrt(within[:, k, k])) for k in range(len(parameters))
     ]
     scale = np.array([u for _, u, _ in stated]) / np.sqrt(np.diag(covariance))
-    amplitudes, deviation = _effect(x, y, z, probable, amplitude, highest)
+    beyond = float(np.mean((u / size) ** 2))
+    amplitudes, deviation = _effect(x, y, z, probable, amplitude, highest, beyond)
     return AngleEffects(
         parameters,
         covariance * np.outer(scale, scale),
@@ -185,12 +187,19 @@ def _as_student(probable: Array, mean: Array, std: Array) -> tuple[float, float,
 
 
 def _effect(
-    x: Array, y: Array, z: Array, probable: Array, amplitude: Array, highest: tuple[int, ...]
+    x: Array,
+    y: Array,
+    z: Array,
+    probable: Array,
+    amplitude: Array,
+    highest: tuple[int, ...],
+    variance: float,
 ) -> tuple[Array, tuple[float, float, float]]:
     """Return the mean amplitudes of the orders (2 K,); the deviation over a turn, its u and dof.
 
     The square of the deviation is half the sum of squared amplitudes, whose mean and variance are
-    known for normal amplitudes.
+    known for normal amplitudes. Either that is all, or orders above K add what the values scatter
+    by beyond their stated `variance`.
     """
     count, dim = z.shape[1], x.shape[1]
     every = np.concatenate([x, z], axis=1)
@@ -198,7 +207,7 @@ def _effect(
     effect = np.zeros(count)
     shown = np.flatnonzero(probable > NEGLIGIBLE_PROBABILITY)
     weight = probable[shown] / probable[shown].sum()
-    deviation, std = np.zeros(len(shown)), np.zeros(len(shown))
+    square, spread = np.zeros(len(shown)), np.zeros(len(shown))
     place, case = np.divmod(shown, len(amplitude) * len(ERROR_FACTORS))
     size = amplitude[case // len(ERROR_FACTORS)]
     excess = ERROR_FACTORS[case % len(ERROR_FACTORS)]
@@ -210,9 +219,11 @@ def _effect(
         mean = (covariance @ moments[:used] / excess[own, None] ** 2)[:, dim:]
         covariance = covariance[:, dim:, dim:]
         effect[: used - dim] += weight[own] @ mean
-        square = (np.sum(mean**2, axis=1) + np.trace(covariance, axis1=1, axis2=2)) / 2
-        spread = np.sum(covariance**2, axis=(1, 2)) / 2
-        spread += np.einsum("hi,hij,hj->h", mean, covariance, mean)
-        deviation[own] = np.sqrt(square)
-        std[own] = np.sqrt(spread / np.maximum(square, TINY)) / 2
-    return effect, _as_student(weight, deviation, np.maximum(std, 1e-9 * deviation.max() + TINY))
+        square[own] = (np.sum(mean**2, axis=1) + np.trace(covariance, axis1=1, axis2=2)) / 2
+        spread[own] = np.sum(covariance**2, axis=(1, 2)) / 2
+        spread[own] += np.einsum("hi,hij,hj->h", mean, covariance, mean)
+    square = np.concatenate([square, square + variance * (excess**2 - 1)])
+    deviation = np.sqrt(square)
+    std = np.sqrt(np.tile(spread, 2) / np.maximum(square, TINY)) / 2
+    std = np.maximum(std, 1e-9 * deviation.max() + TINY)
+    return effect, _as_student(np.tile(weight / 2, 2), deviation, std)

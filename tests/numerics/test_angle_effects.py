@@ -69,6 +69,19 @@ def test_the_deviation_is_as_uncertain_as_its_amplitude():
     assert_allclose(found.deviation_u, 0.01 / np.sqrt(24), rtol=0.5)
 
 
+@pytest.mark.parametrize("order", [13, 16])
+def test_the_deviation_has_what_orders_above_the_highest_may_add(order):
+    """They are scatter, which either is an error or belongs to the deviation."""
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        angle = 2 * np.pi * (np.arange(32) + rng.random(32)) / 32
+        value = 5.0 + 0.3 * np.cos(2 * angle + 1) + 0.003 * rng.standard_normal(32)
+        value += 0.3 * np.cos(order * angle + rng.uniform(0, 6))
+        found = fit_angle_effects(np.ones((32, 1)), value, np.full(32, 0.003), angle)
+        assert abs(found.deviation - 0.3) < found.deviation_u
+        assert found.deviation_u < 0.4 * 0.3
+
+
 def drawn(count, orders, seed=5):
     rng = np.random.default_rng(seed)
     x = np.column_stack([np.ones(count), rng.standard_normal(count)])
@@ -105,6 +118,7 @@ def test_amplitudes_and_deviation_are_those_of_all_hypotheses():
     probable = rng.dirichlet(np.ones(len(highest) * len(amplitude) * len(ERROR_FACTORS)))
     probable[:3] = [2e-5, 5e-5, 1e-5]  # too little to count
     effect, means, stds, kept = np.zeros(6), [], [], probable > 1e-4
+    beyond, beyond_stds = [], []
     weight = probable[kept] / probable[kept].sum()
     grid = [(k, a, f) for k in highest for a in amplitude for f in ERROR_FACTORS]
     for (order, size, factor), share in zip(
@@ -121,10 +135,14 @@ def test_amplitudes_and_deviation_are_those_of_all_hypotheses():
         variance = (np.sum(covariance**2) + 2 * mean @ covariance @ mean) / 2  # of half a square
         means.append(np.sqrt(square))
         stds.append(np.sqrt(variance / square) / 2 if square else 0.0)
-    found, deviation = _effect(x, y, z, probable, amplitude, highest)
+        # what scatters beyond a variance of 0.09 is ripple, too, in half of the cases
+        beyond.append(np.sqrt(square + 0.09 * (factor**2 - 1)))
+        beyond_stds.append(np.sqrt(variance) / beyond[-1] / 2 if square else 0.0)
+    found, deviation = _effect(x, y, z, probable, amplitude, highest, 0.09)
     assert_allclose(found, effect, rtol=1e-7, atol=1e-12)
-    floor = 1e-9 * max(means)
-    expected = _as_student(weight, np.array(means), np.maximum(stds, floor))
+    floor = 1e-9 * max(beyond)
+    stds = np.maximum(stds + beyond_stds, floor)
+    expected = _as_student(np.tile(weight / 2, 2), np.array(means + beyond), stds)
     assert_allclose(deviation, expected, rtol=1e-6)
 
 
