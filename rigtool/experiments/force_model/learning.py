@@ -56,7 +56,8 @@ class LearnedModel:
     """A learned model.
 
     `covariance` is that of the logarithms of the shape, in the order of `SLIDING_PARAMETERS`, then
-    of the coefficients; `length_u` (2,) that of the logarithms of the two bristles' lengths.
+    of the coefficients; `length_u` (2,) that of the logarithms of the two bristles' lengths, which
+    a search begins with: a model that was stored has none, 0.
     """
 
     terms: tuple[Term, ...]

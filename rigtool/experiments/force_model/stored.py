@@ -48,6 +48,10 @@ MODEL_UNITS = {
 }
 """Units of shape, deviations and the amplifier's offset."""
 
+BEST_READ = ("bearing_length", "housing_length", "tip_length", "stribeck_speed", "resting_part")
+"""What rest and reversals determine: the filter reads best with these, in steps of time and counts
+that the contacts do not have. They are off by more than its search shows."""
+
 _MOTIONS = ", ".join(f"{motion.value} {motion.name.lower()}" for motion in MotionKind)
 
 _FORMS = {
@@ -77,18 +81,18 @@ def model_results(model: ForceModel) -> dict[str, Quantity]:
 
 
 def shape_results(learned: LearnedModel) -> dict[str, Quantity]:
-    """Return the shape of a model as results, with standard uncertainty."""
+    """Return the shape of a model as results, with standard uncertainty where it has one."""
     relative = dict(
         zip(SLIDING_PARAMETERS, np.sqrt(np.diag(learned.covariance)).tolist(), strict=False)
     )
-    relative["bearing_length"], relative["housing_length"] = learned.length_u.tolist()
+
+    def result(name: str, value: float) -> Quantity:
+        if name in BEST_READ:
+            return Quantity(value, MODEL_UNITS[name], reason="what this filter reads best with")
+        return Quantity(value, MODEL_UNITS[name], value * relative[name])
+
     shape = asdict(learned.shape)
-    part = Quantity(shape.pop("resting_part"), "1", reason="what this filter reads best with")
-    found = {
-        MODEL_PREFIX + name: Quantity(value, MODEL_UNITS[name], value * relative[name])
-        for name, value in shape.items()
-    }
-    return found | {MODEL_PREFIX + "resting_part": part}
+    return {MODEL_PREFIX + name: result(name, value) for name, value in shape.items()}
 
 
 def model_tables(model: ForceModel) -> dict[str, Table]:
@@ -179,7 +183,6 @@ def model_from(run: Run, recipe: Recipe) -> ForceModel:
             )
         )
         shape = _shape_of(run)
-        lengths = [run.result(MODEL_PREFIX + f"{name}_length") for name in ("bearing", "housing")]
         covariance = run.table(COVARIANCE, covariance="1")["covariance"]
         learned = LearnedModel(
             terms,
@@ -187,7 +190,7 @@ def model_from(run: Run, recipe: Recipe) -> ForceModel:
             Known(rig.angle_ratio, rig.torque_factor, rig.nominal_inertia, _value(run, OFFSET)),
             table["coefficient"],
             covariance.reshape(len(SLIDING_PARAMETERS) + len(terms), -1),
-            np.array([(length.u or 0.0) / length.value for length in lengths]),
+            np.zeros(2),
         )
         deviations = _deviations_of(run)
         scales = run.table(

@@ -64,20 +64,24 @@ def test_all_numbers_come_back(tmp_path):
     assert found.deviations == MODEL.deviations
     np.testing.assert_array_equal(one.coefficient, other.coefficient)
     np.testing.assert_array_equal(one.covariance, other.covariance)
-    np.testing.assert_allclose(one.length_u, other.length_u, rtol=1e-12)
     np.testing.assert_array_equal(found.scales, MODEL.scales)
     np.testing.assert_array_equal(found.limits, MODEL.limits)
 
 
 def test_each_parameter_has_the_u_of_its_logarithm():
+    """But for those that the filter reads best with: their search was 3 u off and more."""
     results = model_results(MODEL)
+    lengths = ["bearing_length", "housing_length", "tip_length"]
+    without = [*lengths, "stribeck_speed", "resting_part"]
     for number, name in enumerate(SLIDING_PARAMETERS):
+        if name not in without:
+            relative = np.linalg.norm(ROOT[number])
+            expected = relative * getattr(SHAPE, name)
+            assert results[f"model_{name}"].u == pytest.approx(expected, rel=1e-9)
+    for name in without:
         found = results[f"model_{name}"]
-        relative = np.linalg.norm(ROOT[number])
-        assert found.u == pytest.approx(relative * getattr(SHAPE, name), rel=1e-9)
-    assert results["model_bearing_length"].u == pytest.approx(0.3e-3)
-    assert results["model_housing_length"].u == pytest.approx(0.8e-2)
-    assert results["model_resting_part"].u is None
+        assert (found.value, found.u) == (getattr(SHAPE, name), None)
+        assert "reads best" in found.reason
     table = model_tables(MODEL)[TERMS]
     u = np.linalg.norm(ROOT[len(SLIDING_PARAMETERS) :], axis=1)
     np.testing.assert_allclose(table["u"], u, rtol=1e-9)
