@@ -36,7 +36,10 @@ def speed_variation(durations: Array, orders: int = SPEED_ORDERS) -> float:
 
 def fastest(durations: Array) -> float:
     """Return the highest speed around the turn over its mean, at most `LEAP`, by its orders up to
-    `SPEED_ORDERS`; `durations` as in `speed_variation`."""
+    `SPEED_ORDERS`.
+
+    `durations` (revolutions, cells) as in `orders.Ripple`.
+    """
     mean = durations.mean(axis=0)
     slow = np.fft.rfft(mean / mean.mean())
     slow[SPEED_ORDERS + 1 :] = 0.0
