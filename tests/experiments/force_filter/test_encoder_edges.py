@@ -52,8 +52,8 @@ def test_edges_are_those_of_the_rule(seed, averaged):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_angles_between_edges_are_a_monotone_cubic_through_them_and_through_turns(seed):
-    """Both ends are in the middle of their counts; so is the rotor between two passages of one
-    edge that are two samples apart or more."""
+    """Both ends are in the middle of their counts; so is the rotor between two passages of one edge
+    that are two samples apart or more, from a quarter of that time or a sample on until half."""
     encoder = means(seed, 4)
     known = [one for one in written_out(encoder) if 0 < one[0] < len(encoder)]
     known = [(0.0, encoder[0] + 0.5), *known, (float(len(encoder)), encoder[-1] + 0.5)]
@@ -62,7 +62,9 @@ def test_angles_between_edges_are_a_monotone_cubic_through_them_and_through_turn
         whole.append(one)
         if one[1] == other[1] and other[0] - one[0] >= 2:
             middle = (one[0] + other[0]) / 2
-            whole.append((middle, encoder[int(middle)] + 0.5))
+            level = encoder[int(middle)] + 0.5
+            whole.append((one[0] + min(1.0, (other[0] - one[0]) / 4), level))
+            whole.append((middle, level))
     whole.append(known[-1])
     at = np.linspace(0, len(encoder), 900)
     expected = PchipInterpolator(*np.transpose(whole))(at)

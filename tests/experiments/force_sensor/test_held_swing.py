@@ -35,7 +35,7 @@ def both_forms(samples):
         (rows.torque, rows.u, rows.states),
         (rows.causal, rows.causal_u, rows.causal_states),
     ):
-        yield rows.time, torque, u, (states == State.STILL) & (rows.time > 4.0) & (rows.time < 5.8)
+        yield rows.time, torque, u, (states == State.STILL) & (np.abs(rows.time - 4.7) < 1.1)
 
 
 def test_at_rest_u_holds_the_swing_of_before_in_both_forms(samples):
@@ -45,11 +45,13 @@ def test_at_rest_u_holds_the_swing_of_before_in_both_forms(samples):
         ):
             assert still.sum() > 100
             assert u[still].min() > 0.7 * AMPLITUDE / np.sqrt(2)
-            assert without[rests].max() < 0.3 * AMPLITUDE
+            # later a load may hide within the count whether one swung or not
+            begins = without[rests & (time < 4.0)]
+            assert begins.max() < 0.3 * AMPLITUDE
             if name == "goes on":
                 truth = AMPLITUDE * np.sin(2 * np.pi * 5 * time)
                 assert np.mean(np.abs(torque - truth)[still] < 1.96 * u[still]) > 0.9
-                assert np.mean(np.abs(torque - truth)[still] < 1.96 * without[still].max()) < 0.7
+                assert np.mean(np.abs(torque - truth)[still] < 1.96 * begins.max()) < 0.7
 
 
 def test_no_more_than_friction_changes_by_within_a_count():
