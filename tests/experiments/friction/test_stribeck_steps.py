@@ -95,10 +95,10 @@ def test_a_line_is_that_of_the_normal_equations(scatter):
 
 
 def test_structure_is_what_residuals_have_beyond_three_times_the_scatter():
-    u = np.full(len(SPEEDS), 1e-6)
+    u = np.linspace(1e-6, 2e-5, len(SPEEDS))
     f = 2e-3 + 5e-5 * SPEEDS + 1e-4 * np.cos(3 * SPEEDS)
     found, residual = _line(points(SPEEDS, f, u)), line_of(SPEEDS, f, u)[2]
-    expected = math.sqrt(np.sum(residual**2) / (len(SPEEDS) - 2) - 9e-12)
+    expected = math.sqrt(np.sum(residual**2) / (len(SPEEDS) - 2) - np.mean((3 * u) ** 2))
     assert found.structure == pytest.approx(expected, rel=1e-9)
 
 
