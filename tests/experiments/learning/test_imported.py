@@ -12,7 +12,7 @@ from rigtool.experiments.learning.check.procedure import PROCEDURE as ILC_CHECK
 from rigtool.experiments.learning.imported import _Row, _steadied
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.learning.stored_table import learned_table_from, lookup_table_from
-from rigtool.experiments.ripple.orders import NEIGHBOURING_ORDERS, Spectrum
+from rigtool.experiments.ripple.orders import HIGHEST_ORDER, NEIGHBOURING_ORDERS, Spectrum
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
 from rigtool.quantity import Quantity
@@ -245,6 +245,9 @@ def test_maps_are_learned_and_hold_at_any_speed(rig, tmp_path):
         found = outcome.results[f"order_{order}_amplitude"]
         assert abs(found.value - amplitude) < 4 * found.u
     assert outcome.results["learned_mean"].value == pytest.approx(0.1, rel=0, abs=5e-3)
+    differs = np.fft.rfft(waves["a"] - waves["b"])[1 : HIGHEST_ORDER + 1] * (2 / 720)
+    scatter = outcome.results["non_repeatable_rms"].value  # of two, with one degree of freedom
+    assert scatter == pytest.approx(np.linalg.norm(differs) / 2, rel=1e-3, abs=0)
     checked = check([rig[1]["off_2"]], tmp_path / "map.h5", tmp_path / "check.h5")
     assert checked.results["table_fits"].value == 1
     with pytest.raises(InsufficientDataError, match=r"other.h5 is another map than"):

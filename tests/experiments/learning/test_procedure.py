@@ -15,6 +15,7 @@ from rigtool.experiments.learning.stored_table import (
     lookup_table_from,
     require_same_rig,
 )
+from rigtool.experiments.running.options import CommonOptions
 from rigtool.recipe import load_recipe
 from rigtool.recipe.commands import IlcLearn
 from rigtool.runfile import Column, Table, open_run
@@ -218,6 +219,22 @@ def test_inputs_that_do_not_fit_are_refused(learned, folder, kt, friction):
             ilc_learn.analyse([stored], stored.recipe, kt=stored)
         with pytest.raises(RunFileError, match="stribeck"):
             ilc_learn.analyse([stored], stored.recipe, kt=constant, friction=constant)
+
+
+@pytest.mark.parametrize(
+    ("name", "validate", "expected"),
+    [
+        (None, False, ("rig.name=mine",)),
+        ("C", False, ("rig.name=mine", "ilc_learn.implementation=C")),
+        (None, True, ("rig.name=mine", "ilc_learn.validation=true")),
+    ],
+)
+def test_the_command_line_chooses_before_the_recipe(name, validate, expected):
+    """A motor that has to turn freely takes the pulley unless the attachment is given."""
+    given = CommonOptions(overrides=("rig.name=mine",))
+    assert ilc_learn.asked(given, name, validate=validate).overrides == expected
+    bare = ilc_learn.asked(given, "A", validate=validate).overrides
+    assert bare[:3] == ("rig.attachment=pulley", "rig.name=mine", "ilc_learn.implementation=A")
 
 
 def test_every_letter_of_the_recipe_has_its_implementation():
