@@ -6,9 +6,9 @@ the rotor slides, the swing shows. With the torque M and its mean M0 of memory `
 
     v = median of (M - M0)^2,   the variance of a sine,   v - v0 beyond that of noise
 
-A pulse leaves M0 for some `LEVEL_TIME` after either edge, a force that swings is away from it all
-the time: the median tells the one from the other. While the rotor slides, v is raised or lowered by
-the same factor in each step (H. Robbins, S. Monro, Ann. Math. Stat. 22(3), 1951), so that it is
+A pulse is away from M0 for some `LEVEL_TIME` after either edge only; a force that swings is so most
+of the time, which the median shows. While the rotor slides, each step raises
+or lowers v by the same factor (H. Robbins, S. Monro, Ann. Math. Stat. 22(3), 1951), so that it is
 exceeded half of the time.
 """
 

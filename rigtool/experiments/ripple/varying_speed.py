@@ -20,7 +20,7 @@ SPEED_ORDERS = 30
 """Orders by which ripple varies the speed: the inertia holds higher ones."""
 
 LEAP = 10.0
-"""Largest speed over its mean that is told from a leap."""
+"""Largest speed over its mean that counts: a rotor that is faster leaps."""
 
 
 def speed_variation(durations: Array, orders: int = SPEED_ORDERS) -> float:

@@ -141,7 +141,7 @@ def test_the_correlation_is_that_of_all_residuals_under_parzens_window():
 
 
 def test_only_counts_left_where_they_were_entered_are_open():
-    """The edges of a count that the rotor passes tell the angle, however slowly it passes."""
+    """The angle is known at both edges of a count that the rotor passes, however slowly."""
     count = 0.1
     angle = np.array([0.55, 0.61, 0.65, 0.71, 0.79, 0.78, 0.81, 0.95, 0.88, 0.76, 0.62, 0.57, 0.52])
     found = [place.tolist() for place in _turning_counts(SimpleNamespace(angle=angle), count)]
