@@ -7,6 +7,7 @@ import pytest
 
 from rigtool.experiments.deploy.force_sensor import sensor_header
 from rigtool.experiments.force_filter.motion_states import State
+from rigtool.experiments.force_sensor import sensor, stretch
 from rigtool.experiments.force_sensor.stretch import Stretch
 from tests.experiments.deploy.sensors import INTERVAL, compiled, expected, instrument, moved
 from tests.experiments.force_sensor.test_rest_between_forms import Certain
@@ -28,9 +29,9 @@ def both_forms(samples):
     """Return time, torque, u and where the rotor stands still, smoothed and causal."""
     own = instrument(model=Certain())
     with ThreadPoolExecutor(1) as worker:
-        stretch = Stretch("swing", own, 0.0, len(TIME), (worker, worker))
-        stretch.add(samples)
-        (rows,) = stretch.reading()
+        reader = Stretch("swing", own, 0.0, len(TIME), (worker, worker))
+        reader.add(samples)
+        (rows,) = reader.reading()
     for torque, u, states in (
         (rows.torque, rows.u, rows.states),
         (rows.causal, rows.causal_u, rows.causal_states),
@@ -52,6 +53,19 @@ def test_at_rest_u_holds_the_swing_of_before_in_both_forms(samples):
                 truth = AMPLITUDE * np.sin(2 * np.pi * 5 * time)
                 assert np.mean(np.abs(torque - truth)[still] < 1.96 * u[still]) > 0.9
                 assert np.mean(np.abs(torque - truth)[still] < 1.96 * begins.max()) < 0.7
+
+
+def test_the_filter_may_take_a_part_of_a_swing_in_both_forms(monkeypatch):
+    """5 % of its amplitude, a rectangle from 0 on; of 5 Hz a mean over 0.1 s leaves 0.91 of v."""
+    swing = moved(STROKES, AMPLITUDE * np.sin(2 * np.pi * 5 * TIME))
+    counted = [*both_forms(swing)]
+    for module in (stretch, sensor):
+        monkeypatch.setattr(module, "TAKEN_VARIANCE", 0.0)
+    for (time, _, u, _), (*_, without, _) in zip(counted, both_forms(swing), strict=True):
+        more = (u**2 - without**2)[np.abs(time - 3.0) < 0.5]
+        assert np.median(more) == pytest.approx(
+            0.05**2 / 3 * 0.91 * AMPLITUDE**2 / 2, rel=0.2, abs=0
+        )
 
 
 def test_no_more_than_friction_changes_by_within_a_count():
