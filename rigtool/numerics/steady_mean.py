@@ -53,17 +53,20 @@ def steady_mean(values: Array) -> Array:
     return np.tensordot(weights(len(values)), values, axes=1)
 
 
-def steady_us(series: Sequence[Array]) -> list[tuple[float, float]]:
+def steady_us(
+    series: Sequence[Array], shares: Sequence[float] | None = None
+) -> list[tuple[float, float]]:
     """Return standard uncertainty and degrees of freedom of each series' `steady_mean`.
 
-    Each of the series (m,) has its own scatter, all have the payback in common. Raises
+    Each of the series (m,) has its own scatter, all have the payback in common. `shares` say how
+    much each tells of it: one that is given k times, as much the same readings, 1/k. Raises
     `InsufficientDataError` for fewer than three readings in one.
     """
     from scipy.special import chdtri
 
     likelihood = np.zeros(len(PAYBACK_VALUES))
     variances, drifts = [], []
-    for values in series:
+    for values, part in zip(series, shares or [1.0] * len(series), strict=True):
         count = len(values)
         if count < MIN_READINGS:
             raise InsufficientDataError(
@@ -79,7 +82,8 @@ def steady_us(series: Sequence[Array]) -> list[tuple[float, float]]:
         mean = np.sum(ones * waves / power, axis=1) / known
         left = (waves - mean[:, None] * ones) ** 2 / power
         scale = np.maximum(left.sum(axis=1) / (count - 1), LEAST_VARIANCE)
-        likelihood -= ((count - 1) * np.log(scale) + np.log(power).sum(axis=1) + np.log(known)) / 2
+        misfit = (count - 1) * np.log(scale) + np.log(power).sum(axis=1) + np.log(known)
+        likelihood -= part * misfit / 2
         variances.append(scale * np.sum(weighted**2 * power, axis=1))
         drifts.append(left[:, :SLOWEST_WAVES].mean(axis=1) / scale)
     share = np.exp(likelihood - likelihood.max())

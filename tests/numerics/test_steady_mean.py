@@ -44,6 +44,14 @@ def test_u_is_the_scatter_of_the_means_of_many_series(part, count):
     assert 0.93 < within.mean() < (0.97 if count == 39 else 1.0)
 
 
+def test_a_series_that_is_given_again_tells_no_more_of_the_payback():
+    first, *others = payback(0.6, 3, 12, seed=4).T
+    once = steady_us([first, *others])
+    again = steady_us([first] * 5 + others, [1 / 5] * 5 + [1, 1])
+    np.testing.assert_allclose(again[4:], once, rtol=1e-9)
+    assert steady_us([first] * 5 + others)[4][1] != pytest.approx(once[0][1], rel=0.05)
+
+
 @pytest.mark.parametrize("part", [1.0, 0.0, -0.9])
 def test_u_is_that_of_the_covariance_of_readings(part):
     """Also where all is paid back, and where neighbours are alike."""

@@ -148,7 +148,8 @@ def read_loads(
 
     `largest` N m is that of the learned loads; `angle` rad of the output and the low-pass
     `bandwidth_hz` are those of the readings at one angle. How far strokes deviate from one to the
-    next is what all cycles of these pairs show together.
+    next is what all cycles of these pairs show together; those without load, which several pairs
+    have in common, count once.
     """
     zeros: dict[int, tuple[Array, Array]] = {}
     found: list[_Found | InsufficientDataError] = []
@@ -160,8 +161,12 @@ def read_loads(
             found.append(_find(model, pair, zeros[key], largest, angle, bandwidth_hz))
         except InsufficientDataError as error:
             found.append(error)
-    series = [s for f in found if isinstance(f, _Found) for s in (f.cycles, *f.zeros)]
-    us = iter(steady_us(series))
+    keys = [id(p.unloaded) for p, f in zip(pairs, found, strict=True) if isinstance(f, _Found)]
+    series, shares = [], []
+    for key, one in zip(keys, (f for f in found if isinstance(f, _Found)), strict=True):
+        series += [one.cycles, *one.zeros]
+        shares += [1.0, *[1 / keys.count(key)] * len(one.zeros)]
+    us = iter(steady_us(series, shares))
     return [_stated(f, us) if isinstance(f, _Found) else f for f in found]
 
 

@@ -11,6 +11,7 @@ from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.learning import LearnedModel, learn_sliding
 from rigtool.experiments.force_model.model import Kind, Shape, Term
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS, stepped_shape
+from rigtool.experiments.load_disturbance import reading
 from rigtool.experiments.load_disturbance.reading import (
     LoadedPair,
     dead_band,
@@ -142,6 +143,22 @@ def test_the_budget_holds_scatter_zero_disturbance_and_misfit(sliding, unloaded)
     finite = [line for line in budget.values() if line.dof is not None]
     assert found.quantity.dof == pytest.approx(total**4 / sum(x.u**4 / x.dof for x in finite))
     assert budget["scatter"].dof > 0
+
+
+def test_strokes_without_load_that_pairs_share_show_their_payback_once(
+    sliding, unloaded, monkeypatch
+):
+    given = []
+
+    def noticed(series, shares):
+        given.extend(zip(map(len, series), shares, strict=True))
+        return [(1.0, 9.0)] * len(series)
+
+    monkeypatch.setattr(reading, "steady_us", noticed)
+    pairs = [compared(unloaded, load) for load in (0.01, 0.03, 0.06)]
+    pairs.append(compared(unloaded, 0.03, speed=1.5))
+    read_loads(sliding.learned, pairs, LARGEST, ANGLE, BANDWIDTH)
+    assert [share for _, share in given] == [1, 1 / 3, 1, 1 / 3, 1, 1 / 3, 1, 1]
 
 
 @pytest.mark.parametrize("name", ["stiffness", "tip_friction", "coefficients"])
