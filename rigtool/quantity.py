@@ -114,12 +114,18 @@ def inherited(source: Quantity, sensitivity: float, name: str) -> list[Component
 
 
 def difference(first: Quantity, second: Quantity) -> Quantity:
-    """Return first - second; an input that both budgets name is one and the same."""
-    lines = {line.name: line for line in first.budget}
+    """Return first - second; an input that both budgets name is one and the same.
+
+    Lines of one budget that have a name in common are independent of each other.
+    """
+    lines, named = list(first.budget), [line.name for line in first.budget]
     for line in second.budget:
-        own = lines[line.name].sensitivity if line.name in lines else 0.0
-        lines[line.name] = replace(line, sensitivity=own - line.sensitivity)
-    return combined(first.value - second.value, first.unit, lines.values())
+        if line.name in named:
+            at = named.index(line.name)
+            lines[at] = replace(line, sensitivity=lines[at].sensitivity - line.sensitivity)
+        else:
+            lines.append(replace(line, sensitivity=-line.sensitivity))
+    return combined(first.value - second.value, first.unit, lines)
 
 
 def combined(value: float, unit: str, lines: Iterable[Component]) -> Quantity:

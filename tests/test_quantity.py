@@ -1,6 +1,7 @@
 """Quantities as people read them."""
 
 import math
+from dataclasses import replace
 
 import GTC
 import pytest
@@ -123,6 +124,16 @@ def test_sums_and_differences_are_those_of_gtc(drawn):
         if u > 1e-9:
             dof = GTC.dof(expected)
             assert (found.dof or math.inf) == pytest.approx(dof, rel=1e-6)
+
+
+def test_a_difference_keeps_each_line_of_a_name_that_only_one_budget_has_twice():
+    zeros = [error_line("zero", u, "m", 4.0) for u in (0.3, 0.4)]
+    shared = input_line("scale", Quantity(1.0, "1", 0.1), 2.0)
+    first = combined(2.0, "m", [*zeros, shared])
+    second = combined(1.5, "m", [replace(shared, sensitivity=1.5)])
+    for found in (difference(first, second), difference(second, first)):
+        assert abs(found.value) == 0.5
+        assert found.u == pytest.approx(math.hypot(0.3, 0.4, 0.05), rel=1e-9)
 
 
 def test_lines_follow_their_quantity():
