@@ -12,7 +12,7 @@ the distribution reaches to there, and a note states it. A table of `ilc-learn` 
 current by the same constant, so that the constant cancels: uncertainties of learned tables are
 those of their scatter.
 
-`identify-plant`, `fft-ripple` and `measure-force --correction full` have smaller uncertainties than
+`identify-plant`, `fft-ripple` and `measure-force` with a correction have smaller uncertainties than
 the change of k. They take k at the recorded temperature of the motor: `torque_per_ampere_at`, with
 the uncertainty of the calibration alone.
 """
@@ -194,6 +194,23 @@ def mean_constant(kt: Run, recordings: Sequence[Recording] = ()) -> tuple[Quanti
         f"torque by the mean torque constant, {constant.value * 1e3:.4g} mN m/A; its standard "
         f"uncertainty, {100 * (constant.u or 0.0) / constant.value:.2f} %, includes its change "
         "over the temperatures of the calibration"
+    )
+
+
+def constant_at_motor(kt: Run, recordings: Sequence[Recording]) -> tuple[Quantity, str]:
+    """Return `torque_per_ampere_at` the mean temperature of recordings, and a note on it.
+
+    That of the mean constant where they or the calibration show no temperature.
+    """
+    shown = [degc for recording in recordings for degc in _at_ends(recording) if degc.size]
+    if not shown or "torque_constant_temperature_coefficient" not in kt.results:
+        return mean_constant(kt, recordings)
+    degc = float(np.mean([end.mean() for end in shown]))
+    constant = torque_per_ampere_at(kt, degc)
+    return constant, (
+        f"torque by the torque constant at the motor's {degc:.3g} degC, "
+        f"{constant.value * 1e3:.4g} mN m/A; its standard uncertainty is "
+        f"{100 * (constant.u or 0.0) / constant.value:.2f} %"
     )
 
 

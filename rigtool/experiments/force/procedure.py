@@ -38,7 +38,7 @@ from rigtool.experiments.force_sensor.procedure_over_time import (
 from rigtool.experiments.learning.stored_table import feedforward_from, require_same_rig
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
-from rigtool.experiments.torque_per_ampere import mean_constant
+from rigtool.experiments.torque_per_ampere import constant_at_motor, mean_constant
 from rigtool.quantity import Component, Quantity, combined, inherited
 from rigtool.recipe import Recipe
 from rigtool.rigs import Load, Rig, Task
@@ -134,7 +134,8 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: Run) -> Out
     _require_as_stored(run, recipe, OVER_TIME_SETTINGS, "has known loads")
     _require_inputs(recipe, kt, tables)
     require_slow_strokes(recipe, strokes(recipe, 1))
-    per_ampere, note = mean_constant(kt, recorded)
+    known = recipe.measure_force.correction == "load"  # full takes that of each recording
+    per_ampere, note = (constant_at_motor if known else mean_constant)(kt, recorded)
     constant = _constant_at_one_angle(per_ampere, kt)
     if recorded[0].condition("force") != 0:
         raise RunFileError(
