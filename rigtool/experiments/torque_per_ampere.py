@@ -142,6 +142,13 @@ def temperature_at_ends(recording: Recording) -> tuple[float, float]:
     return first, last
 
 
+def mean_temperature(recordings: Sequence[Recording]) -> float:
+    """Return the motor's mean temperature at the ends of recordings, degC; NaN where none is
+    known."""
+    ends = [end.mean() for recording in recordings for end in _at_ends(recording) if end.size]
+    return float(np.mean(ends)) if ends else math.nan
+
+
 def _at_ends(recording: Recording) -> tuple[Array, Array]:
     """Return the known temperatures among the first and among the last samples, degC."""
     if not recording.has("temperature"):
@@ -194,23 +201,6 @@ def mean_constant(kt: Run, recordings: Sequence[Recording] = ()) -> tuple[Quanti
         f"torque by the mean torque constant, {constant.value * 1e3:.4g} mN m/A; its standard "
         f"uncertainty, {100 * (constant.u or 0.0) / constant.value:.2f} %, includes its change "
         "over the temperatures of the calibration"
-    )
-
-
-def constant_at_motor(kt: Run, recordings: Sequence[Recording]) -> tuple[Quantity, str]:
-    """Return `torque_per_ampere_at` the mean temperature of recordings, and a note on it.
-
-    That of the mean constant where they or the calibration show no temperature.
-    """
-    shown = [degc for recording in recordings for degc in _at_ends(recording) if degc.size]
-    if not shown or "torque_constant_temperature_coefficient" not in kt.results:
-        return mean_constant(kt, recordings)
-    degc = float(np.mean([end.mean() for end in shown]))
-    constant = torque_per_ampere_at(kt, degc)
-    return constant, (
-        f"torque by the torque constant at the motor's {degc:.3g} degC, "
-        f"{constant.value * 1e3:.4g} mN m/A; its standard uncertainty is "
-        f"{100 * (constant.u or 0.0) / constant.value:.2f} %"
     )
 
 

@@ -10,6 +10,7 @@ from rigtool.experiments.torque_per_ampere import (
     END_SAMPLES,
     effort_of,
     mean_constant,
+    mean_temperature,
     temperature_at_ends,
     torque_per_ampere,
     torque_per_ampere_at,
@@ -88,6 +89,7 @@ def test_a_motor_outside_the_range_of_the_mean_is_in_u_and_in_a_note(tmp_path, d
     with open_run(tmp_path / "run.h5") as run, calibration(tmp_path / "kt.h5", **results) as kt:
         recorded = [run.recording("holds")]
         found, note = mean_constant(kt, recorded)
+        assert mean_temperature(recorded) == pytest.approx((27.5 + degc) / 2, abs=0.1)
         assert found == torque_per_ampere(kt, recorded)
         usual = torque_per_ampere(kt)
     assert found.value == usual.value
@@ -193,6 +195,7 @@ def test_a_constant_that_is_given_counts_before_the_torque_of_a_drive(tmp_path):
 
 def test_a_recording_without_a_thermometer_has_no_temperature():
     assert np.isnan(temperature_at_ends(Imported("current"))).all()
+    assert np.isnan(mean_temperature([Imported("current")]))
 
 
 def test_only_a_calibration_has_a_constant(tmp_path):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from operator import attrgetter
 
 import numpy as np
@@ -38,7 +39,11 @@ from rigtool.experiments.force_sensor.procedure_over_time import (
 from rigtool.experiments.learning.stored_table import feedforward_from, require_same_rig
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
-from rigtool.experiments.torque_per_ampere import constant_at_motor, mean_constant
+from rigtool.experiments.torque_per_ampere import (
+    mean_constant,
+    mean_temperature,
+    torque_per_ampere_at,
+)
 from rigtool.quantity import Component, Quantity, combined, inherited
 from rigtool.recipe import Recipe
 from rigtool.rigs import Load, Rig, Task
@@ -134,8 +139,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: Run) -> Out
     _require_as_stored(run, recipe, OVER_TIME_SETTINGS, "has known loads")
     _require_inputs(recipe, kt, tables)
     require_slow_strokes(recipe, strokes(recipe, 1))
-    known = recipe.measure_force.correction == "load"  # full takes that of each recording
-    per_ampere, note = (constant_at_motor if known else mean_constant)(kt, recorded)
+    per_ampere, note = mean_constant(kt, recorded)
     constant = _constant_at_one_angle(per_ampere, kt)
     if recorded[0].condition("force") != 0:
         raise RunFileError(
@@ -186,9 +190,13 @@ def _corrected(
     )
 
     if correction == "load":
-        corrected, added_u = without_load_friction(loads, recipe, tables, constant)
-        found = load_rows(corrected, recipe, constant, ripple, table_u)
-        return load_outcome(loads_outcome(corrected, found, recipe), found, added_u, rows)
+        own, remarks = _at_motor(run, constant, kt)
+        own_loads = [load.scaled(own.value / constant.value) for load in loads]
+        corrected, added_u = without_load_friction(own_loads, recipe, tables, own)
+        found = load_rows(corrected, recipe, own, ripple, table_u)
+        base = loads_outcome(corrected, found, recipe)
+        base = replace(base, notes=(*remarks, *base.notes))
+        return load_outcome(base, found, added_u, rows)
     first, again = run.recordings_named("load_")[0], run.recordings_named(ZERO_AGAIN)
     return full_outcome(
         loads_outcome(loads, rows, recipe),
@@ -199,6 +207,19 @@ def _corrected(
         tables,
         temperature_drift([first, *again], kt, tables),
         math.hypot(lacking, resolution_u(first, recipe, constant.value)),
+    )
+
+
+def _at_motor(run: Run, mean: Quantity, kt: Run) -> tuple[Quantity, tuple[str, ...]]:
+    """Return the torque constant at one rotor angle and at the temperature that the motor had, with
+    a remark; the `mean` where it is unknown."""
+    degc = mean_temperature(run.recordings_named("load_"))
+    if math.isnan(degc):
+        return mean, ()
+    own = _constant_at_one_angle(torque_per_ampere_at(kt, degc), kt)
+    return own, (
+        f"loads with the correction are read by the torque constant at the motor's {degc:.3g} "
+        f"degC, {own.value * 1e3:.4g} mN m/A",
     )
 
 

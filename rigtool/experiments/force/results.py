@@ -66,6 +66,11 @@ class LoadReadings:
     method_u: float = 0.0
     whole: Record | None = None
 
+    def scaled(self, factor: float) -> LoadReadings:
+        """Return readings and curves with a torque constant that is larger by a factor."""
+        torque, feedforward = factor * self.torque, factor * self.feedforward
+        return replace(self, torque=torque, feedforward=feedforward, values=factor * self.values)
+
     def strokes(self, signal: Array, grid: Array) -> tuple[Array, Array]:
         """Return a signal over position of the rising and of the falling strokes."""
         return curves(self.position, signal, self.cycles, grid)

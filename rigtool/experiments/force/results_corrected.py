@@ -3,9 +3,9 @@
 `load` takes friction that grows with load off the thesis's reading, at one angle of the rising
 strokes, and puts back what the tendon's stretch takes off; ripple that grows with the current
 remains, and is part of its uncertainty. `full` reads the load from whole strokes, lifting and
-lowering, with the model learned at known loads (`experiments.load_disturbance.reading`), the torque
-constant at the motor's own temperature. A load outside the learned range has no value; near
-standstill every load has a dead band instead of a value.
+lowering, with the model learned at known loads (`experiments.load_disturbance.reading`). Both take
+the torque constant at the motor's own temperature. A load outside the learned range has no value;
+near standstill every load has a dead band instead of a value.
 """
 
 from __future__ import annotations

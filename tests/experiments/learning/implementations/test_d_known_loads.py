@@ -159,6 +159,9 @@ def test_a_stored_run_is_corrected_afterwards(rig, thesis):
         for outcome in (again, corrected)
     ]
     assert [ONE_ANGLE in names for names in lines] == [True, True]
+    # The constant is that at the motor's temperature, which is known.
+    assert ["temperature of the motor" in names for names in lines] == [True, False]
+    assert any("constant at the motor's 27 degC" in note for note in corrected.notes)
     off = load["loads"]["error_torque"][1:] / load["loads"]["mean_torque_u"][1:]
     assert (np.abs(off) < 2.5).all()
 
