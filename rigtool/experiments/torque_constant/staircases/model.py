@@ -52,6 +52,7 @@ class Stairs:
     torque: Array
     temperature: Array
     begin: Array
+    middle: Array  # of the settled part, of which torque and temperature are the means
     end: Array
     weight: Array  # 1, or 0 where a staircase has ended
     rotor_angle: Array  # (m,)
@@ -106,6 +107,7 @@ def arrange(plateaus: Plateaus) -> Stairs:
         torque=torque * weight,
         temperature=plateaus.temperature[place],
         begin=np.where(weight > 0, begin, end),
+        middle=np.where(weight > 0, plateaus.middle[place], end),
         end=end,
         weight=weight,
         rotor_angle=plateaus.rotor_angle[first],
@@ -141,31 +143,37 @@ def mean_of(values: Array, weight: Array) -> Array:
 def winding(stairs: Stairs, time_constant: float) -> tuple[Array, Array]:
     """Return w of (1), A2 s, and the housing's temperature with the winding's lag, degC, (m, p).
 
-    Both hold for the middle of each plateau. Between staircases no current flows, and the winding
-    approaches the housing.
+    Both hold for the middle of each plateau's settled part. Between staircases no current flows,
+    and the winding approaches the housing. Each begins with both at one temperature, which changes
+    until the first middle as fast as in the first half of the staircase.
     """
     decay = np.exp(-(stairs.end - stairs.begin) / time_constant)
     idle = np.ones(decay.shape)
     idle[:, 1:] = np.exp(-(stairs.begin[:, 1:] - stairs.end[:, :-1]) / time_constant)
+    into = np.exp(-(stairs.middle - stairs.begin) / time_constant)
+    since = np.diff(stairs.middle, prepend=stairs.begin[:, :1])
     change = np.diff(stairs.temperature, prepend=stairs.temperature[:, :1])
+    half = (since.shape[1] - 1) // 2
+    lasted = stairs.middle[:, half] - stairs.middle[:, 0]
+    change[:, 0] = np.sum(change[:, 1 : half + 1], axis=1) / lasted * since[:, 0]
     power = stairs.current**2 * (1 + COPPER_COEFFICIENT * (stairs.temperature - 20))
-    before, after = np.empty(decay.shape), np.empty(decay.shape)
-    lag = np.empty(decay.shape)
+    before, lag = np.empty(decay.shape), np.empty(decay.shape)
     stored, behind = np.zeros(len(decay)), np.zeros(len(decay))
     for j in range(decay.shape[1]):
         before[:, j] = stored * idle[:, j]
         gained = power[:, j] * time_constant * (1 - decay[:, j])
         stored = before[:, j] * decay[:, j] + gained
-        after[:, j] = stored
-        behind = behind * idle[:, j] * decay[:, j] - change[:, j] * np.sqrt(decay[:, j])
+        kept = np.exp(-since[:, j] / time_constant / 2)
+        behind = behind * kept**2 - change[:, j] * kept
         lag[:, j] = behind
     # Heat left over from the staircase before
     ended = stairs.end[:-1, -1]
     fades = np.exp(-(ended - stairs.begin[:-1, 0]) / time_constant)
     pauses = np.exp(-(stairs.begin[1:, 0] - ended) / time_constant)
     left = [0.0]
-    for held, fade, pause in zip(after[:-1, -1], fades, pauses, strict=True):
+    for held, fade, pause in zip(stored[:-1], fades, pauses, strict=True):
         left.append(float((held + left[-1] * fade) * pause))
-    middle = (stairs.begin + stairs.end) / 2 - stairs.begin[:, :1]
-    heat = (before + after) / 2 + np.array(left)[:, None] * np.exp(-middle / time_constant)
+    middle = stairs.middle - stairs.begin[:, :1]
+    heat = before * into + power * time_constant * (1 - into)
+    heat += np.array(left)[:, None] * np.exp(-middle / time_constant)
     return heat, stairs.temperature + lag

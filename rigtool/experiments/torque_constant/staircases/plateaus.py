@@ -34,7 +34,8 @@ class Plateaus:
     """Means over the settled part of each constant stretch of set point, all (n,).
 
     `current_setpoint` and `current` in A, `torque` in N m, `temperature` in degC, `rotor_angle` in
-    rad (NaN where unknown), `begin` and `end` in s; `staircase` numbers the staircases from 0.
+    rad (NaN where unknown), `begin` and `end` in s, `middle` in s that of the settled part;
+    `staircase` numbers the staircases from 0.
     `position` in rad is the rotor's as it gives way (NaN where unknown), in steps of `count`.
     `course` (n, COURSE) in N m is the torque over the whole stretch, its settling included, as
     means over equal parts of its time. `resolution` in N m is that of the gauge's readings, `noise`
@@ -49,6 +50,7 @@ class Plateaus:
     position: Array
     count: Array
     begin: Array
+    middle: Array
     end: Array
     staircase: NDArray[np.int64]
     course: Array
@@ -122,6 +124,7 @@ def plateaus_of_set_point(
         ),
         count=np.full(keep.sum(), count),
         begin=t[starts][keep],
+        middle=mean(t) + sample / 2,
         end=t[ends][keep] + sample,
         staircase=np.unique(staircase, return_inverse=True)[1].astype(np.int64),
         course=_course(newton, starts[keep], ends[keep] + 1) * arm_length,
@@ -156,6 +159,7 @@ def pool(parts: Sequence[Plateaus]) -> Plateaus:
         later = before.end[-1] - part.begin[0] + 3600.0
         moved = {
             "begin": part.begin + later,
+            "middle": part.middle + later,
             "end": part.end + later,
             "staircase": part.staircase + before.staircase[-1] + 1,
         }

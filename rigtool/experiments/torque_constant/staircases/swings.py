@@ -115,10 +115,9 @@ def mean_courses(
         )
         rates.append(rate)
         part = duration[those].mean(axis=0) / course.shape[2]
-        swing_change[those] = _swing_changes(
+        swing_change[those], at_once[those] = _swing_changes(
             grown, swing[those], average, torque[those].mean(axis=0), part, noise
         )
-        at_once[those] = grown.sum(axis=0)[:, :, None] * average
     courses = mean(torque)
     return Courses(
         setpoint=mean(setpoint),
@@ -167,8 +166,9 @@ def _torque_changes(
 
 def _swing_changes(
     grown: Array, swing: Array, average: Array, torque: Array, part: Array, noise: float
-) -> Array:
-    """Return by how much swings (m, p, c) differ from their `average` (p, c), without noise.
+) -> tuple[Array, Array]:
+    """Return by how much swings (m, p, c) differ from their `average` (p, c), without noise, and
+    what that would be if ripple had no lag.
 
     Swings grow as their steps do, `grown` (2, m, p): with the constant at once, but an amplifier's
     ripple may follow a step of the current with a lag: its course is the mean course behind a
@@ -178,8 +178,9 @@ def _swing_changes(
     """
     with_constant, with_ripple = grown
     found: Array = with_constant[:, :, None] * average
+    rippled = with_ripple[:, :, None] * average
     if len(swing) < FEWEST_FOR_RATE:
-        return found + with_ripple[:, :, None] * average
+        return found + rippled, found + rippled
     rest = swing - average - found
     matched = np.einsum("mp,mpc->pc", with_ripple, rest)
     power = np.sum(with_ripple**2, axis=0)[:, None]
@@ -189,12 +190,15 @@ def _swing_changes(
     variance = max(float(square.min()) / rest.size, TINY)
     probable = np.exp(-(square - square.min()) / (2 * variance))
     course = np.tensordot(probable / probable.sum(), lagged, 1)
-    found = found + with_ripple[:, :, None] * course
+    delayed = with_ripple[:, :, None] * course
+    # Friction changes with the constant, too: what that does to swings is no lag of ripple.
+    left = []
     for size in grown.mean(axis=2):
         root = max(float(np.linalg.norm(size)), TINY)
-        own = without_noise(np.tensordot(size / root, swing - average - found, 1), noise)[0]
-        found = found + (size / root)[:, None, None] * own
-    return found
+        rest = swing - average - found - delayed - sum(left)
+        own = without_noise(np.tensordot(size / root, rest, 1), noise)[0]
+        left.append((size / root)[:, None, None] * own)
+    return found + delayed + left[0] + left[1], found + rippled + left[0]
 
 
 def _behind(swing: Array, torque: Array, lag: Array) -> Array:

@@ -84,18 +84,17 @@ def _likelihood(stairs: Stairs, those: Array, tau: Array) -> Array:
     """Return the likelihood of each tau (n,) by the staircases of a kind, `those` (m,)."""
     used = slice(int(np.sum(stairs.weight[those], axis=1).min()))
     degc = stairs.temperature[those, used]
-    begin, end = (
-        (each[those, used] - stairs.begin[those, :1]) for each in (stairs.begin, stairs.end)
+    start, middle, stop = (
+        (each[those, used] - stairs.begin[those, :1]).mean(axis=0)
+        for each in (stairs.begin, stairs.middle, stairs.end)
     )
-    start, stop = begin.mean(axis=0), end.mean(axis=0)
     power = stairs.current[those, used] ** 2 * (1 + COPPER_COEFFICIENT * (degc - 20))
     heat = power @ (stop - start)
     # All staircases as two: one with their heat, one that differs from it by temperature alone.
     sums = np.linalg.qr(np.stack([heat, np.ones(len(heat))], axis=1))[0].T
     sums[0] *= np.sign(sums[0] @ heat)
     rows = sums @ degc
-    middle = (start + stop) / 2
-    passed = np.cumsum(rows * (stop - start), axis=1) - rows * (stop - start) / 2
+    passed = np.cumsum(rows * (stop - start), axis=1) - rows * (stop - middle)
     own = np.kron(np.eye(len(rows)), np.stack([np.ones(len(middle)), middle], axis=1))
     free = np.linalg.qr(np.column_stack([own, passed.ravel()]))[0]
 
@@ -105,7 +104,7 @@ def _likelihood(stairs: Stairs, those: Array, tau: Array) -> Array:
 
     shown = left(rows.ravel())
     warming = np.zeros((len(SENSOR_LAGS), len(tau), *rows.shape))
-    flown = _flown(power.mean(axis=0), start, stop, tau)
+    flown = _flown(power.mean(axis=0), (start, middle, stop), tau)
     warming[:, :, 0] = _behind(flown, middle, np.array(SENSOR_LAGS)[:, None])
     shape = left(warming.reshape(*warming.shape[:2], -1))
     shape /= np.sqrt(np.sum(shape**2, axis=2, keepdims=True))
@@ -119,18 +118,19 @@ def _likelihood(stairs: Stairs, those: Array, tau: Array) -> Array:
     return likelihood
 
 
-def _flown(power: Array, begin: Array, end: Array, tau: Array) -> Array:
-    """Return W in the middle of plateaus (n, p), for the power (p,) on each and tau (n,)."""
+def _flown(power: Array, times: tuple[Array, Array, Array], tau: Array) -> Array:
+    """Return W in the middle of plateaus (n, p), for the power (p,) on each and tau (n,); `times`
+    (p,) are begin, middle and end of each, s."""
+    begin, middle, end = times
     heat, flown = np.zeros((2, len(tau)))
     middles = []
     for j in range(len(power)):
         if j:
             fades = -np.expm1(-(begin[j] - end[j - 1]) / tau)
             flown, heat = flown + tau * heat * fades, heat * (1 - fades)
-        half = (end[j] - begin[j]) / 2
-        for part in range(2):
-            after = heat + (power[j] * tau - heat) * -np.expm1(-half / tau)
-            flown = flown + tau * (power[j] * half - after + heat)
+        for part, lasts in enumerate((middle[j] - begin[j], end[j] - middle[j])):
+            after = heat + (power[j] * tau - heat) * -np.expm1(-lasts / tau)
+            flown = flown + tau * (power[j] * lasts - after + heat)
             heat = after
             if part == 0:
                 middles.append(flown)

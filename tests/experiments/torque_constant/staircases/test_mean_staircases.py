@@ -139,6 +139,7 @@ def swinging_arm():
         current=setpoint,
         temperature=np.full(rest.shape, 20.0),
         begin=np.arange(17) * 0.4 + 100 * np.arange(4)[:, None],
+        middle=np.arange(0.5, 17) * 0.4 + 100 * np.arange(4)[:, None],
         end=np.arange(1, 18) * 0.4 + 100 * np.arange(4)[:, None],
     )
     means = MeanStaircases(stairs, 0.0, np.zeros(4))

@@ -72,6 +72,9 @@ def test_runs_are_one_series_in_time():
     assert both.begin[count] - both.end[count - 1] == pytest.approx(3600.0)
     np.testing.assert_allclose(np.diff(both.begin[count:]), np.diff(one.begin), atol=1e-9)
     np.testing.assert_allclose((both.end - both.begin)[count:], one.end - one.begin, atol=1e-9)
+    np.testing.assert_allclose(
+        (both.middle - both.begin)[count:], one.middle - one.begin, atol=1e-9
+    )
     assert both.staircase.tolist() == [*one.staircase, *(one.staircase + 2)]
     np.testing.assert_array_equal(both.torque[count:], one.torque)
 
@@ -111,6 +114,8 @@ def test_staircases_are_rows_and_shorter_ones_end_without_weight():
     np.testing.assert_array_equal(stairs.current[0, 38:], 0)
     np.testing.assert_allclose(stairs.torque[0, :38], one.torque[:38])
     np.testing.assert_array_equal((stairs.end - stairs.begin)[0, 38:], 0)
+    np.testing.assert_array_equal((stairs.end - stairs.middle)[0, 38:], 0)
+    np.testing.assert_allclose(stairs.middle[1], (stairs.begin[1] + 0.08 + stairs.end[1]) / 2)
     np.testing.assert_array_equal(stairs.last_step[:, 0], 0)
     np.testing.assert_allclose(stairs.last_step[1, 1:], np.diff(stairs.setpoint[1]))
     np.testing.assert_array_equal(stairs.last_step[0, 38:], 0)

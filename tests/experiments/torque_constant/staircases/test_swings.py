@@ -218,6 +218,24 @@ def test_swings_follow_the_constant_at_once_and_ripple_with_its_lag(lag):
     assert np.abs(response).max() < 0.12
 
 
+def test_what_else_goes_with_the_temperature_is_no_lag_of_ripple():
+    """Friction changes swings with the constant, by more than these grow."""
+    setpoint = np.array([0.0, 1.0, 2.0, 3.0, 2.0, 1.0, 0.0])
+    time = np.arange(1, PARTS + 1) / PARTS
+    swing = -np.exp(-12 * time) * np.cos(2 * np.pi * 6 * time)
+    rubbed = 0.2 * np.exp(-8 * time) * np.sin(2 * np.pi * 6 * time)
+    constant = 1 - 1e-3 * (WARM - 30)
+    torque = constant[:, None] * setpoint
+    step = np.diff(torque, axis=1, prepend=0.0)[:, :, None]
+    course = torque[:, :, None] + step * (swing + (constant[:, None, None] - 1) * rubbed)
+    found = mean_courses(
+        np.tile(setpoint, (16, 1)), torque, course, np.ones(torque.shape), WARM, noise=1e-7
+    )
+    _, own_course, without_lag = found.of_each()
+    assert_allclose(own_course, course, atol=1e-4)
+    assert_allclose(without_lag, own_course, atol=1e-5)
+
+
 def test_what_is_taken_off_the_mean_course_as_noise_is_kept():
     rng = np.random.default_rng(8)
     one = swinging(0.8)
