@@ -41,6 +41,7 @@ class TorqueRamp:
     position: float  # at its beginning, rad within a turn
     direction: float  # +1 or -1
     torque: float  # magnitude
+    against: bool = False  # the shaft ran off the other way
 
 
 def find_ramps(
@@ -61,13 +62,17 @@ def find_ramps(
     ramps = []
     for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         part = slice(first, last)
-        if last - first < MIN_RAMP_SAMPLES or size[last - 1] <= 0.1 * size.max():
+        if size[last - 1] <= 0.1 * size.max():
             continue
         direction = 1.0 if effort[last - 1] > 0 else -1.0
+        back = direction * (shaft[first] - shaft[part])
+        against = bool(back.max() > 2 * threshold)  # further than contacts spring back
+        if last - first < MIN_RAMP_SAMPLES and not against:
+            continue
         onset = _onset(t[part] - t[first], direction * shaft[part], threshold)
         broke = np.nan if onset is None else float(np.interp(onset, t[part] - t[first], size[part]))
         position = float(np.mod(shaft[first], 2 * np.pi))
-        ramps.append(TorqueRamp(first, last, position, direction, broke))
+        ramps.append(TorqueRamp(first, last, position, direction, broke, against))
     if not ramps:
         longest = int(np.diff(edges).max())
         found = "" if longest >= MIN_RAMP_SAMPLES else f"; the longest has {longest} samples"
@@ -148,9 +153,16 @@ class Breakaway:
 def around_turn(ramps: list[TorqueRamp], positions: Array | None = None) -> Breakaway:
     """Return ramps by position; `positions` (k,), rad, of another series to pair them with.
 
-    Raises `InsufficientDataError` where most ramps do not break away.
+    Raises `InsufficientDataError` where most ramps do not break away, or a constant torque turns
+    the shaft.
     """
     stuck = int(sum(np.isnan(ramp.torque) for ramp in ramps))
+    against = sum(ramp.against for ramp in ramps)
+    if 2 * against >= stuck > 0:
+        raise InsufficientDataError(
+            f"a constant torque turned the shaft against {against} of {len(ramps)} ramps: it is "
+            "larger than friction; take it off: the amplifier's offset, or a load on the shaft"
+        )
     if 2 * stuck >= len(ramps):
         raise InsufficientDataError(
             f"the shaft did not break away in {stuck} of {len(ramps)} ramps: where it stood still, "

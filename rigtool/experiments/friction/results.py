@@ -14,7 +14,7 @@ from rigtool.experiments.friction.direction_fit import DIRECTION_NAMES, Directio
 from rigtool.experiments.friction.holds import Holds
 from rigtool.experiments.friction.offset import Offset
 from rigtool.experiments.friction.sweep import TorqueSpeed
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 from rigtool.quantity import (
     Component,
     Quantity,
@@ -256,10 +256,17 @@ def add_radial_friction(
     free = len(grown) - len(directions)
     # Friction that wanders more slowly than a hold makes holds differ by more than their scatter.
     own = float(np.mean(before.u**2 + after.u**2))
-    wander = math.sqrt(max(float(unlike @ unlike) / max(free, 1) - own, 0.0))
-    wander *= float(np.linalg.norm(share))
+    square = float(unlike @ unlike) / max(free, 1)
+    wander = max(square - own, 0.0)
+    # The difference of two variances is as uncertain as the larger one: 2 square^2/free.
+    wander_dof = free * (wander / max(square, TINY)) ** 2
     lines = [
-        error_line("friction from hold to hold", wander, "N m", free or None),
+        error_line(
+            "friction from hold to hold",
+            math.sqrt(wander) * float(np.linalg.norm(share)),
+            "N m",
+            wander_dof or None,
+        ),
         error_line("hung weights", value * weights_u, "N m"),
         error_line("asymmetry", value * asymmetry_u, "N m"),
     ]

@@ -18,6 +18,14 @@ from rigtool.quantity import Quantity, combined, error_line, inherited
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Table, dof_column
 
+FALLING = 2.0
+"""Multiple of its uncertainty by which viscous friction may be below zero, by scatter."""
+
+FALLS = (
+    "below zero: friction falls with the speed where the shaft was excited, as in the Stribeck "
+    "effect; raise identify_plant.speeds (stroke_speeds with the instrument) or lower swing"
+)
+
 RESPONSE_UNIT = "rad/(N m)"
 TABLE_POINTS = 200
 """Points of the frequency axis of the tables of fit and sensitivities."""
@@ -104,9 +112,12 @@ def plant_outcome(found: IdentifiedPlant, recipe: Recipe) -> Outcome:
 
 def _plant_results(found: IdentifiedPlant) -> dict[str, Quantity]:
     fit, response = found.fit, found.response
+    viscous = found.quantity(lambda f: f.model.viscous, "N m s/rad")
+    if viscous.u is not None and viscous.value < -FALLING * viscous.u:
+        viscous = Quantity(viscous.value, viscous.unit, reason=FALLS)
     results = {
         "inertia": found.quantity(lambda f: f.model.inertia, "kg m2"),
-        "viscous_friction": found.quantity(lambda f: f.model.viscous, "N m s/rad"),
+        "viscous_friction": viscous,
         "mass_line_crossing": found.quantity(lambda f: f.model.mass_line_crossing, "Hz"),
     }
     if not fit.model.rigid:

@@ -200,3 +200,26 @@ def test_bad_signals_are_refused(signals, change, message):
     bad = {**signals, **{name: function(signals[name]) for name, function in change.items()}}
     with pytest.raises(InsufficientDataError, match=message):
         find_ramps(**bad, threshold=0.02)
+
+
+@pytest.mark.parametrize("acceleration", [200.0, 2000.0])
+def test_a_constant_torque_beyond_friction_is_named(acceleration):
+    """It turns the shaft forwards whatever the ramp, the faster for fewer than 16 samples."""
+    time = np.arange(round(np.sqrt(0.18 / acceleration) / 1e-3) + 1) * 1e-3
+    angle, torque = acceleration * time**2 / 2, 1e-3 * (time + 1e-3)
+    parts = [(time + 10 * number, angle, (-1) ** number * torque) for number in range(6)]
+    names = ("time", "angle", "torque")
+    columns = map(np.concatenate, zip(*parts, strict=True))
+    signals = dict(zip(names, columns, strict=True))
+    ramps = find_ramps(**signals, threshold=0.02)
+    assert sum(ramp.against for ramp in ramps) == 3
+    with pytest.raises(InsufficientDataError, match="turned the shaft against 3 of"):
+        around_turn(ramps)
+
+
+def test_a_shaft_that_springs_back_is_not_turned_by_a_constant_torque():
+    time = np.linspace(0.0, 10.0, 1001)
+    angle = np.where(time < 1, -0.03 * time, -0.03) + np.where(time > 6, time - 6, 0.0)
+    (ramp,) = find_ramps(time=time, angle=angle, torque=1e-3 * time, threshold=0.02)
+    assert not ramp.against
+    assert ramp.torque == pytest.approx(6e-3, rel=0.01)

@@ -56,7 +56,23 @@ def test_friction_that_wanders_from_hold_to_hold_is_part_of_u():
     variance = 10e-8 / 4 - 2 * 1e-10
     # each direction has half of the weight: 4 of an eighth, 2 of a quarter
     assert line.contribution == pytest.approx(math.sqrt(variance * (4 / 64 + 2 / 16)), rel=1e-9)
-    assert line.dof == 4
+    # of the difference: the variance of 10e-8/4 by its four degrees, relative to what is left
+    assert line.dof == pytest.approx(4 * (variance / (10e-8 / 4)) ** 2, rel=1e-9)
+
+
+def test_wander_that_the_scatter_of_holds_nearly_hides_is_known_by_little():
+    """Four growths whose variance is twice what their own u explains."""
+    found = Findings(Scale(Quantity(0.05, "N m/A", 0.0)))
+    speed = np.array([1.0, 2.0, 3.0, 5.0])
+    grown = 1e-3 + np.array([1, -1, 1, -1]) * 1e-5
+    own = 1e-10 * 4 / 3 / 2
+    before = holds(speed, speed * 0 + 2e-3, math.sqrt(own / 2), math.inf)
+    after = holds(speed, 2e-3 + grown, math.sqrt(own / 2), math.inf)
+    add_radial_friction(before, after, 20.0, found)
+    result = found.results["radial_load_friction"]
+    # Half of u squared is of the difference, with 3/4 degrees: together the 3 of the variance.
+    assert result.u == pytest.approx(math.sqrt(2 * own / 4), rel=1e-9)
+    assert result.dof == pytest.approx(3.0, rel=1e-9)
 
 
 def test_other_speeds_are_not_compared():

@@ -72,6 +72,24 @@ def test_a_result_holds_scatter_doubt_and_the_constant():
     assert by_constant == pytest.approx(crossing.value * relative / 2, rel=0.02)
 
 
+@pytest.mark.parametrize(("shift", "known"), [(-1.5, True), (-2.5, False)])
+def test_friction_that_falls_with_the_speed_is_no_viscous_friction(shift, known):
+    found = identified()
+    u = plant_outcome(found, RECIPE_HERE).results["viscous_friction"].u
+
+    def moved(fit):
+        own = fit.model.viscous - 5e-5 + shift * u
+        return replace(fit, model=replace(fit.model, viscous=own))
+
+    without = tuple(moved(own) for own in found.fit.without)
+    around = tuple(moved(own) for own in found.fit.moved)
+    fit = replace(moved(found.fit), without=without, moved=around, possible=moved(fit_of(1.5e-5)))
+    result = plant_outcome(replace(found, fit=fit), RECIPE_HERE).results["viscous_friction"]
+    assert result.value == pytest.approx(shift * u)
+    assert (result.u is not None) == known
+    assert known or "falls with the speed" in result.reason
+
+
 def test_without_a_calibration_nothing_has_an_uncertainty():
     results = plant_outcome(identified(None), RECIPE_HERE).results
     assert results["inertia"].u is None
