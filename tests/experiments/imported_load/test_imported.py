@@ -1,15 +1,18 @@
 """What is reported of a load model: errors at levels left out, friction, and notes on speeds."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from rigtool.errors import InsufficientDataError
 from rigtool.experiments.imported_load import imported
 from rigtool.experiments.imported_load.imported import (
     _friction_table,
     _level_table,
     _notes,
+    _require_shown,
     _results,
 )
 from rigtool.experiments.imported_load.learning import LoadFriction, Validation
@@ -63,6 +66,22 @@ def test_each_level_has_its_errors_and_the_coverage_of_its_intervals():
         assert table["coverage_95"][n] == pytest.approx(inside.mean(), abs=0.006)
     table = _friction_table(FRICTION)
     np.testing.assert_array_equal(table["dof"], [4, 4, 4])
+
+
+@pytest.mark.parametrize(
+    ("against", "back", "refused"),
+    [(0.0152, 0.0152, False), (0.0154, 0.0152, False), (0.0152, 1.0, False), (0.0154, 1.0, True)],
+)
+def test_an_effort_that_does_not_show_the_load_is_refused(against, back, refused):
+    """Loads are within 30 mN m; half a 95 % interval is 1.96 u."""
+    left_out = replace(VALIDATION, u=np.where(AGAINST, against, back))
+    if refused:
+        with pytest.raises(
+            InsufficientDataError, match=r"read to 30\.2 mN m .* all are within 30 "
+        ):
+            _require_shown(left_out)
+    else:
+        _require_shown(left_out)
 
 
 def test_notes_count_levels_and_speeds():

@@ -544,6 +544,18 @@ def test_no_load_is_no_load():
         learn_load_model(items)
 
 
+@pytest.mark.parametrize(
+    ("moving", "effort", "message"), [(0, 1, "nothing moves"), (1, 0, "0.1 throughout")]
+)
+def test_signals_that_stay_at_one_value_are_refused(moving, effort, message):
+    items = []
+    for load in (0.02, 0.04, 0.06):
+        time, position, current, torque = record(load, 0.2)
+        items.append(signals(time, 7.1 + moving * position, 0.1 + effort * current, torque))
+    with pytest.raises(InsufficientDataError, match=message):
+        learn_load_model(items)
+
+
 @given(st.lists(st.floats(0.1, 100), min_size=1, max_size=30))
 def test_levels_rise_with_the_load(torques):
     numbers = np.array(level_numbers(torques))
