@@ -122,6 +122,11 @@ def _notes(learned: LearnedEffort, recordings: int) -> list[str]:
         f"below {scales.standstill:.3g} rad/s friction is undetermined: no value there, only a "
         "dead band",
     ]
+    if any(side.bend for side in model.sides):
+        notes.append(
+            "learned at two loads: nothing shows how friction grows between them; u there includes "
+            "that it may do so in any way; record a third load"
+        )
     if learned.paces == 1 and len(model.strokes) == 1:
         notes.append(
             "recorded at one speed: nothing shows how friction changes with it, so other speeds "

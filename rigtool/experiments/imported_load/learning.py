@@ -172,6 +172,8 @@ def learn_load_model(
     error, within, u, resolved, slope = _both(held, "error", "within", "u", "resolved", "slope")
     direction = resisted_direction(rows, float(np.mean(slope)))
     spacing = float(np.ptp(torque)) / (levels - 1)
+    if levels == 2:
+        sides = [replace(side, bend=_bend(sides)) for side in sides]
     measured = np.where(resolved, torque + within, np.nan)
     scatter = [COVERAGE_FACTOR * float(np.median(out.u)) / spacing for out in held]
     several = bool(pace.max() > 0 or len(middles) > 1)  # speeds at one place
@@ -217,6 +219,18 @@ def _effort_scale(effort: Array) -> float:
             "motor; correct its column in the mapping"
         )
     return scale
+
+
+def _bend(sides: Sequence[Side]) -> float:
+    """Return by how much efforts may be from a line between two loads, see `Side`.
+
+    Friction that grows with the load, by d from one load to the other, may grow between them in
+    any way in which it does not fall: by d t^2 or d t (2 - t) at most, if its growth changes
+    evenly. Between the two the distribution is rectangular (GUM 4.3.7).
+    """
+    one, other = sides
+    grown = abs(one.slope - other.slope) / 2 * abs(one.levels[-1] - one.levels[0])
+    return float(grown / math.sqrt(3))
 
 
 def _both(parts: Sequence[Rows] | Sequence[HeldOut], *names: str) -> list[NDArray]:

@@ -30,12 +30,16 @@ VALIDATION = Validation(
 FRICTION = LoadFriction(np.arange(3.0), np.array([0.1, 0.2, 0.3]), np.array([0.01, 0.02, 0.02]), 4)
 
 
-def learned(paces=3, strokes=1):
+def learned(paces=3, strokes=1, bend=0.0):
     model = SimpleNamespace(
         scales=SimpleNamespace(low=-2.0, high=3.0, standstill=0.25),
         sides=(
-            SimpleNamespace(factors=np.array([1.0, 1.3]), at_other_speeds=lambda share: 4 * share),
-            SimpleNamespace(factors=np.ones(2), at_other_speeds=lambda share: 1 + 2.4 * share),
+            SimpleNamespace(
+                factors=np.array([1.0, 1.3]), at_other_speeds=lambda share: 4 * share, bend=bend
+            ),
+            SimpleNamespace(
+                factors=np.ones(2), at_other_speeds=lambda share: 1 + 2.4 * share, bend=bend
+            ),
         ),
         strokes=np.zeros(strokes),
     )
@@ -91,6 +95,7 @@ def test_notes_count_levels_and_speeds():
     assert slow.startswith("below 0.25 rad/s")
     assert _notes(learned(1), 12)[-1].startswith("recorded at one speed")
     assert len(_notes(learned(1, strokes=2), 12)) == 3
+    assert _notes(learned(bend=0.1), 12)[-1].startswith("learned at two loads")
     two = _notes(learned(2), 12)[-1]
     assert two.startswith("recorded at two speeds")
     assert "up to 1.6 times" in two  # a quarter of the change, midway

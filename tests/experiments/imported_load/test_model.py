@@ -44,6 +44,7 @@ from rigtool.experiments.imported_load.side import Rows, prior_of
 from tests.experiments.imported_load.loaded_drive import (
     BANDWIDTH_HZ,
     MU,
+    PER_TORQUE,
     observations,
     observe,
     record,
@@ -519,6 +520,27 @@ def test_two_loads_make_a_line():
     assert all("squared" not in name for side in model.sides for name in side.groups)
     error, _ = errors(model, (0.04,))
     assert np.sqrt(np.mean(error**2)) < 1.5e-3
+
+
+def test_between_two_loads_friction_may_grow_in_any_way():
+    """As the square of the load, which two loads do not show."""
+
+    def observed(load, frequency):
+        time, position, effort, torque = record(load, frequency, seed=round(1e3 * load))
+        way = np.tanh(np.gradient(position, time) / 0.5)
+        grown = PER_TORQUE * MU * (torque**2 / 0.06 + torque)
+        return signals(time, position, effort + grown * way, torque)
+
+    model = learn_load_model([observed(*one) for one in product((0.02, 0.06), (0.2, 0.3))]).model
+    line = replace(model, sides=tuple(replace(side, bend=0.0) for side in model.sides))
+    items = [observed(*one) for one in product((0.035, 0.045), (0.2, 0.3))]
+    for own, holds in ((model, True), (line, False)):
+        found = [own.estimate(one.effort, one.path) for one in items]
+        pairs = [(f.moving - one.sensor, f.u) for f, one in zip(found, items, strict=True)]
+        error, u = np.hstack(pairs)
+        known = np.isfinite(error)
+        assert known.mean() > 0.8
+        assert (np.mean(np.abs(error[known]) < 1.96 * u[known]) > 0.9) == holds
 
 
 def test_one_load_shows_nothing():
