@@ -20,8 +20,15 @@ from rigtool.runfile.schema import IMPORTED
 def recordings_of(runs: Sequence[Run]) -> list[Recording]:
     """Return all recordings of all runs: a file that a condition splits holds several.
 
-    Raises `RunFileError` for a run that holds only a map.
+    Raises `RunFileError` for a run that holds only a map, `UsageError` for one that is given twice.
     """
+    given: dict[str, Run] = {}
+    for run in runs:
+        if (other := given.setdefault(run.content_sha256, run)) is not run:
+            raise UsageError(
+                f"{run.path} holds the same as {other.path}, which is no repeat of it: give each "
+                "recording once"
+            )
     many = ((run, run.recordings_named(f"{IMPORTED}_")) for run in runs)
     return [recording for run, own in many for recording in own or [run.recording(IMPORTED)]]
 

@@ -7,7 +7,13 @@ import pytest
 from scipy.integrate import cumulative_trapezoid
 
 from rigtool.errors import RunFileError, UsageError
-from rigtool.experiments.imported import moves, place, position_of, require_one_rig
+from rigtool.experiments.imported import (
+    moves,
+    place,
+    position_of,
+    recordings_of,
+    require_one_rig,
+)
 
 TIME = 3.0 + np.cumsum(np.random.default_rng(1).uniform(0.5, 1.5, 50))
 COUNTS = np.arange(50.0)
@@ -57,3 +63,19 @@ def test_runs_of_two_rigs_are_refused():
     for other in (recording(encoder_counts=200.0), recording()):
         with pytest.raises(UsageError, match="give runs of one rig"):
             require_one_rig([*alike, other])
+
+
+def test_a_recording_that_is_given_twice_is_no_repeat():
+    def run(path, content):
+        made = recording()
+        return SimpleNamespace(
+            path=path,
+            content_sha256=content,
+            recordings_named=lambda start: [],
+            recording=lambda name: made,
+        )
+
+    one, other, copy = run("a.h5", "1"), run("b.h5", "2"), run("c.h5", "1")
+    assert len(recordings_of([one, other])) == 2
+    with pytest.raises(UsageError, match=r"c\.h5 holds the same as a\.h5"):
+        recordings_of([one, other, copy])

@@ -48,6 +48,9 @@ OUTLIER_RATIO = 2.0
 ENCODER_ORDERS = tuple(k / 2 for k in range(1, 9))
 """Orders of the encoder's turn; halves are of teeth that meet again every second turn."""
 
+ROUNDING = 1e-9
+"""Part of a signal below which its changes are those of rounding."""
+
 MIN_TURNS = 2.0
 """Turns below which orders are left out: splines of position cover them."""
 
@@ -188,7 +191,7 @@ def _without_ends(time: Array, factor: int) -> slice:
     if not inside.size:
         raise InsufficientDataError(
             f"{time[-1] - time[0]:.3g} s, of which {END_TIME:g} s at either end are left out: "
-            "record for longer"
+            "record for longer, or correct the unit of time in the mapping"
         )
     return slice(factor * inside[0], factor * inside[-1] + 1, factor)
 
@@ -214,7 +217,7 @@ def find_scales(paths: Sequence[ShaftPath], torques: Sequence[Array], turn: floa
     low, high = float(position.min()), float(position.max())
     highest = float(np.percentile(speed, 99))
     load = float(np.max(np.abs(torque)))
-    if not (high > low and highest > 0):
+    if not (high - low > ROUNDING * max(abs(low), abs(high)) and highest > 0):
         raise InsufficientDataError("nothing moves in these recordings: record strokes to and fro")
     if load == 0:
         raise InsufficientDataError("the reference torque is zero throughout: apply loads")

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rigtool.errors import RunFileError, UsageError
+from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR, accuracy
 from rigtool.experiments.imported import is_linear, place, recordings_of
 from rigtool.experiments.imported_load.imported_signals import REFERENCE_CHANNEL, read_all
@@ -55,6 +55,7 @@ def analyse_imported(
     known = None if prior is None else _prior(prior, unit, bandwidth_hz)
     turn = 0.0 if is_linear(recordings[0]) else 2 * math.pi
     learned = learn_load_model(signals, turn=turn, prior=known)
+    _require_shown(learned.validation)
     tables = {
         **model_tables(learned.model, unit),
         "load_friction": _friction_table(learned.friction),
@@ -73,6 +74,21 @@ def _prior(prior: Run, unit: str, bandwidth_hz: float) -> LoadModel:
             "measure_force.lowpass_hz as there"
         )
     return model
+
+
+def _require_shown(left_out: Validation) -> None:
+    """Raise `InsufficientDataError` where the effort says no more of loads left out, in either
+    direction, than that each is one of all loads."""
+    ways = (left_out.against, ~left_out.against)
+    half = COVERAGE_FACTOR * min(float(np.median(left_out.u[way])) for way in ways if way.any())
+    loads = float(np.ptp(left_out.torque))
+    if half >= loads:
+        raise InsufficientDataError(
+            f"the effort does not show the load: loads left out are read to {half * 1e3:.3g} mN m "
+            f"(95 %), and all are within {loads * 1e3:.3g} mN m; see to it that effort, position "
+            "and reference torque are of one motion, with one sign and one unit in all runs "
+            "(`rigtool plot`)"
+        )
 
 
 # -- what is reported
@@ -106,6 +122,11 @@ def _notes(learned: LearnedEffort, recordings: int) -> list[str]:
         f"below {scales.standstill:.3g} rad/s friction is undetermined: no value there, only a "
         "dead band",
     ]
+    if any(side.bend for side in model.sides):
+        notes.append(
+            "learned at two loads: nothing shows how friction grows between them; u there includes "
+            "that it may do so in any way; record a third load"
+        )
     if learned.paces == 1 and len(model.strokes) == 1:
         notes.append(
             "recorded at one speed: nothing shows how friction changes with it, so other speeds "

@@ -98,7 +98,7 @@ def at_even_times(
     """Return an even time (m,), the signals (n,) at it, (m,) each, and where they are `lost`: in a
     gap that the bandwidth shows. Samples with a NaN are left out before.
 
-    Raises `InsufficientDataError` where no two samples are left.
+    Raises `InsufficientDataError` where no two samples are left, or too few a second.
     """
     known = np.isfinite(np.stack(signals)).all(axis=0)
     if np.count_nonzero(known) < 2:
@@ -108,6 +108,12 @@ def at_even_times(
     time, kept = time[known], [values[known] for values in signals]
     gap = max(LONGEST_INTERVAL * require_rising(time), GAP_PERIODS / bandwidth_hz)
     step, sampled, found = resample(time, *kept, gap=gap)
+    if step * bandwidth_hz >= 0.5:
+        raise InsufficientDataError(
+            f"{1 / step:.3g} samples a second carry no bandwidth of {bandwidth_hz:g} Hz: correct "
+            "the unit of time in the mapping if it is another, record more often, or lower "
+            "measure_force.lowpass_hz"
+        )
     return time[0] + step * np.arange(len(sampled)), list(found), ~sampled
 
 

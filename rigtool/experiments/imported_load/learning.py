@@ -19,7 +19,13 @@ from numpy.typing import NDArray
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import LARGEST_LEARNED_RATIO, State
-from rigtool.experiments.imported_load.basis import LoadSignals, Scales, ShaftPath, find_scales
+from rigtool.experiments.imported_load.basis import (
+    ROUNDING,
+    LoadSignals,
+    Scales,
+    ShaftPath,
+    find_scales,
+)
 from rigtool.experiments.imported_load.loop import learn_loop
 from rigtool.experiments.imported_load.model import (
     APART_SPEED,
@@ -150,7 +156,7 @@ def learn_load_model(
     middles, stroke = _strokes(signals)
     folds, levels = _folds(level)
     rows = [Rows.of(signals, scales, sign) for sign in SIDE_SIGNS]
-    effort_scale = float(np.std(np.concatenate([one.effort for one in rows]))) or 1.0
+    effort_scale = _effort_scale(np.concatenate([one.effort for one in rows]))
     if prior is not None:
         effort_scale = prior.effort_scale
     rows = [replace(one, effort=one.effort / effort_scale) for one in rows]
@@ -166,6 +172,8 @@ def learn_load_model(
     error, within, u, resolved, slope = _both(held, "error", "within", "u", "resolved", "slope")
     direction = resisted_direction(rows, float(np.mean(slope)))
     spacing = float(np.ptp(torque)) / (levels - 1)
+    if levels == 2:
+        sides = [replace(side, bend=_bend(sides)) for side in sides]
     measured = np.where(resolved, torque + within, np.nan)
     scatter = [COVERAGE_FACTOR * float(np.median(out.u)) / spacing for out in held]
     several = bool(pace.max() > 0 or len(middles) > 1)  # speeds at one place
@@ -200,6 +208,29 @@ def learn_load_model(
     torque, error, u = (scales.torque * values[resolved] for values in (torque, error, u))
     validation = Validation(torque, error, u, level[recording][resolved], against[resolved])
     return LearnedEffort(model, int(pace.max()) + 1, validation, friction)
+
+
+def _effort_scale(effort: Array) -> float:
+    """Return the standard deviation of efforts (n,); raise where they are one value."""
+    scale = float(np.std(effort))
+    if scale <= ROUNDING * float(np.abs(effort).max()):
+        raise InsufficientDataError(
+            f"the effort is {effort[0]:.4g} throughout, in all motion: it is not that of this "
+            "motor; correct its column in the mapping"
+        )
+    return scale
+
+
+def _bend(sides: Sequence[Side]) -> float:
+    """Return by how much efforts may be from a line between two loads, see `Side`.
+
+    Friction that grows with the load, by d from one load to the other, may grow between them in
+    any way in which it does not fall: by d t^2 or d t (2 - t) at most, if its growth changes
+    evenly. Between the two the distribution is rectangular (GUM 4.3.7).
+    """
+    one, other = sides
+    grown = abs(one.slope - other.slope) / 2 * abs(one.levels[-1] - one.levels[0])
+    return float(grown / math.sqrt(3))
 
 
 def _both(parts: Sequence[Rows] | Sequence[HeldOut], *names: str) -> list[NDArray]:

@@ -107,7 +107,8 @@ class Side:
     multiply uncertainties at torques `levels` (l,), which rise; between two they go in a line.
     `slope` is the usual one of effort by torque; `elsewhere` multiplies u of strokes at a place of
     which none was learned; `other_speeds` is how many times u errors are at the first or the last
-    speed where that is left out.
+    speed where that is left out. Where two loads were learned, the effort between them may be off a
+    line: bend t (1 - t) is the standard uncertainty of that at the part t of the way.
     """
 
     groups: tuple[str, ...]
@@ -119,6 +120,7 @@ class Side:
     slope: float
     elsewhere: float = 1.0
     other_speeds: float = 1.0
+    bend: float = 0.0
 
     def at_other_speeds(self, share: float) -> float:
         """Return the factor on u where such a `share` of that change counts, see `LoadModel`."""
@@ -139,7 +141,9 @@ class Side:
         variance = np.einsum("ij,ij->i", row @ self.covariance, row)
         variance += scatter_variance(self.scatter, speed, torque)
         slope = np.maximum(np.abs(design.slope(self.weights, torque)), FLATTEST)
-        u: Array = self.factor(torque) * np.sqrt(variance) / slope
+        low, high = self.levels[0], self.levels[-1]
+        bent = self.bend * (torque - low) * (high - torque) / max(high - low, TINY) ** 2
+        u: Array = np.hypot(self.factor(torque) * np.sqrt(variance), bent) / slope
         return u, slope
 
 

@@ -120,6 +120,7 @@ def _side_tables(sides: Sequence[Side]) -> dict[str, Table]:
                 "1",
                 "errors over uncertainty at the first and the last speed, left out",
             ),
+            bend=([side.bend for side in sides], "1", "of effort between two loads, if unknown"),
         ),
         "_factors": _table(
             "row",
@@ -240,6 +241,7 @@ def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
                 slope=float(scatter["slope"][number]),
                 elsewhere=float(scatter["elsewhere"][number]),
                 other_speeds=float(scatter["other_speeds"][number]),
+                bend=float(scatter["bend"][number]),
             )
         )
     model = LoadModel(

@@ -1,15 +1,18 @@
 """What is reported of a load model: errors at levels left out, friction, and notes on speeds."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from rigtool.errors import InsufficientDataError
 from rigtool.experiments.imported_load import imported
 from rigtool.experiments.imported_load.imported import (
     _friction_table,
     _level_table,
     _notes,
+    _require_shown,
     _results,
 )
 from rigtool.experiments.imported_load.learning import LoadFriction, Validation
@@ -27,12 +30,16 @@ VALIDATION = Validation(
 FRICTION = LoadFriction(np.arange(3.0), np.array([0.1, 0.2, 0.3]), np.array([0.01, 0.02, 0.02]), 4)
 
 
-def learned(paces=3, strokes=1):
+def learned(paces=3, strokes=1, bend=0.0):
     model = SimpleNamespace(
         scales=SimpleNamespace(low=-2.0, high=3.0, standstill=0.25),
         sides=(
-            SimpleNamespace(factors=np.array([1.0, 1.3]), at_other_speeds=lambda share: 4 * share),
-            SimpleNamespace(factors=np.ones(2), at_other_speeds=lambda share: 1 + 2.4 * share),
+            SimpleNamespace(
+                factors=np.array([1.0, 1.3]), at_other_speeds=lambda share: 4 * share, bend=bend
+            ),
+            SimpleNamespace(
+                factors=np.ones(2), at_other_speeds=lambda share: 1 + 2.4 * share, bend=bend
+            ),
         ),
         strokes=np.zeros(strokes),
     )
@@ -65,6 +72,22 @@ def test_each_level_has_its_errors_and_the_coverage_of_its_intervals():
     np.testing.assert_array_equal(table["dof"], [4, 4, 4])
 
 
+@pytest.mark.parametrize(
+    ("against", "back", "refused"),
+    [(0.0152, 0.0152, False), (0.0154, 0.0152, False), (0.0152, 1.0, False), (0.0154, 1.0, True)],
+)
+def test_an_effort_that_does_not_show_the_load_is_refused(against, back, refused):
+    """Loads are within 30 mN m; half a 95 % interval is 1.96 u."""
+    left_out = replace(VALIDATION, u=np.where(AGAINST, against, back))
+    if refused:
+        with pytest.raises(
+            InsufficientDataError, match=r"read to 30\.2 mN m .* all are within 30 "
+        ):
+            _require_shown(left_out)
+    else:
+        _require_shown(left_out)
+
+
 def test_notes_count_levels_and_speeds():
     first, wider, slow = _notes(learned(), 12)
     assert "12 recordings at 2 load levels, up to 50 mN m, position -2 to 3 rad" in first
@@ -72,6 +95,7 @@ def test_notes_count_levels_and_speeds():
     assert slow.startswith("below 0.25 rad/s")
     assert _notes(learned(1), 12)[-1].startswith("recorded at one speed")
     assert len(_notes(learned(1, strokes=2), 12)) == 3
+    assert _notes(learned(bend=0.1), 12)[-1].startswith("learned at two loads")
     two = _notes(learned(2), 12)[-1]
     assert two.startswith("recorded at two speeds")
     assert "up to 1.6 times" in two  # a quarter of the change, midway

@@ -86,6 +86,12 @@ def test_one_lost_sample_is_no_gap_and_a_longer_one_is():
     np.testing.assert_allclose(even[lost], [1.98, 2.0, 2.02, 2.04], rtol=1e-9)
 
 
+def test_a_time_in_milliseconds_read_as_seconds_is_named():
+    time = np.arange(200) * 5.0
+    with pytest.raises(InsufficientDataError, match=r"0\.2 samples a second .* unit of time"):
+        at_even_times(time, 5.0, np.sin(time))
+
+
 def test_a_current_that_stays_at_a_value_for_long_is_stuck():
     random = np.random.default_rng(6)
     effort = np.round(np.sin(np.arange(4000) / 300) + random.normal(0, 0.02, 4000), 2)

@@ -44,6 +44,7 @@ from rigtool.experiments.imported_load.side import Rows, prior_of
 from tests.experiments.imported_load.loaded_drive import (
     BANDWIDTH_HZ,
     MU,
+    PER_TORQUE,
     observations,
     observe,
     record,
@@ -521,6 +522,27 @@ def test_two_loads_make_a_line():
     assert np.sqrt(np.mean(error**2)) < 1.5e-3
 
 
+def test_between_two_loads_friction_may_grow_in_any_way():
+    """As the square of the load, which two loads do not show."""
+
+    def observed(load, frequency):
+        time, position, effort, torque = record(load, frequency, seed=round(1e3 * load))
+        way = np.tanh(np.gradient(position, time) / 0.5)
+        grown = PER_TORQUE * MU * (torque**2 / 0.06 + torque)
+        return signals(time, position, effort + grown * way, torque)
+
+    model = learn_load_model([observed(*one) for one in product((0.02, 0.06), (0.2, 0.3))]).model
+    line = replace(model, sides=tuple(replace(side, bend=0.0) for side in model.sides))
+    items = [observed(*one) for one in product((0.035, 0.045), (0.2, 0.3))]
+    for own, holds in ((model, True), (line, False)):
+        found = [own.estimate(one.effort, one.path) for one in items]
+        pairs = [(f.moving - one.sensor, f.u) for f, one in zip(found, items, strict=True)]
+        error, u = np.hstack(pairs)
+        known = np.isfinite(error)
+        assert known.mean() > 0.8
+        assert (np.mean(np.abs(error[known]) < 1.96 * u[known]) > 0.9) == holds
+
+
 def test_one_load_shows_nothing():
     with pytest.raises(InsufficientDataError, match="at one load"):
         learn_load_model(observations(loads=(0.04,)))
@@ -541,6 +563,18 @@ def test_one_direction_is_not_enough():
 def test_no_load_is_no_load():
     items = [replace(o, reference=0 * o.reference) for o in observations(frequencies=(0.2,))]
     with pytest.raises(InsufficientDataError, match="zero throughout"):
+        learn_load_model(items)
+
+
+@pytest.mark.parametrize(
+    ("moving", "effort", "message"), [(0, 1, "nothing moves"), (1, 0, "0.1 throughout")]
+)
+def test_signals_that_stay_at_one_value_are_refused(moving, effort, message):
+    items = []
+    for load in (0.02, 0.04, 0.06):
+        time, position, current, torque = record(load, 0.2)
+        items.append(signals(time, 7.1 + moving * position, 0.1 + effort * current, torque))
+    with pytest.raises(InsufficientDataError, match=message):
         learn_load_model(items)
 
 
