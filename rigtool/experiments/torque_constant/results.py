@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.torque_constant.staircases.fit import SAME_TEMPERATURE
-from rigtool.experiments.torque_constant.temperature_fit import Calibration
+from rigtool.experiments.torque_constant.temperature_fit import MODEL_OF_FRICTION, Calibration
 from rigtool.quantity import CURRENT_READING, Component, Quantity, combined, error_line
 from rigtool.runfile import Column, Table, dof_column
 
@@ -53,10 +55,15 @@ def _results(found: Calibration, reading_relative_u: float) -> dict[str, Quantit
         reason = "one staircase: no scatter"
         hysteresis = Quantity(slopes.hysteresis, "N m", reason=reason)
     lack = "lack of fit and scatter"
+    largest = float(np.max(np.abs(slopes.level)))
     heat_loss = [
         error_line("scatter over the angles", slopes.lasting_heating_u, "1/A2", slopes.heating_dof),
         error_line(
             "time constant of the winding, path of friction", slopes.lasting_heating_spread, "1/A2"
+        ),
+        # At the largest current, an error of the slope passes for a loss.
+        error_line(
+            MODEL_OF_FRICTION, found.components.get(MODEL_OF_FRICTION, 0.0) / largest**2, "1/A2"
         ),
     ]
     results = {

@@ -52,6 +52,9 @@ PATH_U, TREND_U = 0.3, 0.2
 uncertainty of a slope, times the squared part that friction takes of it, and of the change of that
 part with temperature, relative: on 36 drawn rigs that is 0.21 (rms), 0.45 at most."""
 
+MODEL_OF_FRICTION = "model of friction"
+"""Name of the line of a budget that has it."""
+
 LINEARITY_LIMIT = 5e-3
 """Largest deviation of the amplifier from a straight line, relative to the span."""
 
@@ -128,7 +131,7 @@ def calibrate(
         "heat in the winding": relative(slopes.heating_u, slopes.heating_dof),
         "friction of the shaft": relative(slopes.friction_u, slopes.friction_dof),
         "ripple that few angles hide": relative(_hidden(fit)),
-        "model of friction": relative(PATH_U * slopes.friction_share**2),
+        MODEL_OF_FRICTION: relative(PATH_U * slopes.friction_share**2),
         "gauge resolution": relative(slopes.resolution_u),
         "gauge linearity": relative(gauge_linearity / math.sqrt(3)),  # GUM 4.3.7
         CURRENT_READING: relative(current_reading_relative_u),

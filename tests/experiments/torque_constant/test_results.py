@@ -82,11 +82,12 @@ def test_each_result_has_a_budget_of_its_own():
     slopes = SimpleNamespace(
         hysteresis=4e-3, hysteresis_u=1e-5, hysteresis_dof=7, lasting_heating=2e-4,
         lasting_heating_u=1e-5, heating_dof=5.0, lasting_heating_spread=2e-5,
+        level=np.array([0.0, 2.0, 4.0]),
     )  # fmt: skip
     found = calibration(
         linearity=linearity,
         slopes=slopes,
-        components={"arm length": 3e-3, "gauge calibration": 4e-3},
+        components={"arm length": 3e-3, "gauge calibration": 4e-3, "model of friction": 4.8e-4},
         torque_constant=None,
         constant_error=None,
         ripple=None,
@@ -110,8 +111,9 @@ def test_each_result_has_a_budget_of_its_own():
     assert {line.value for line in hysteresis.budget if line.unit == "1"} == {1.0}
     assert hysteresis.dof == pytest.approx(7 * (hysteresis.u / 1e-5) ** 4, rel=1e-9)
     heat = results["winding_heat_loss"]
-    assert (heat.value, heat.u) == pytest.approx((2e-4, math.hypot(1e-5, 2e-5)), rel=1e-9)
-    assert heat.dof == pytest.approx(5 * 5**2, rel=1e-9)
+    # what 4.8e-4 of the slope at 4 A would be as a loss
+    assert (heat.value, heat.u) == pytest.approx((2e-4, math.hypot(1e-5, 2e-5, 3e-5)), rel=1e-9)
+    assert heat.dof == pytest.approx(5 * 14**2, rel=1e-9)
     slopes.hysteresis_dof = 0
     assert _results(found, 2e-3)["hysteresis_torque"].u is None
 
@@ -121,6 +123,7 @@ def test_two_staircases_show_the_scatter_of_their_hysteresis_and_one_none(dof):
     slopes = SimpleNamespace(
         hysteresis=4e-3, hysteresis_u=1e-5, hysteresis_dof=dof, lasting_heating=2e-4,
         lasting_heating_u=1e-5, heating_dof=5.0, lasting_heating_spread=2e-5,
+        level=np.array([0.0, 2.0, 4.0]),
     )  # fmt: skip
     linearity = SimpleNamespace(
         gain=1.0, gain_u=1e-4, offset=0.0, offset_u=1e-4, dof=9,

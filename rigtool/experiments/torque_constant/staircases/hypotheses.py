@@ -19,7 +19,7 @@ shows its stiffness.
 
 Loss of the torque constant by a current that lasts:
 
-    loss = mean over hypotheses of g tau (1 - exp(-t/tau)),   t = HEATING_TIME
+    loss = mean over hypotheses that have one of g tau (1 - exp(-t/tau)),   t = HEATING_TIME
 
 with g of (1) in `rigtool.experiments.torque_constant.staircases.model`. A staircase shows how much
 its own heat takes, and little of a time constant tau beyond its length: the loss by a lasting
@@ -238,10 +238,15 @@ def _ranges(means: MeanStaircases, lag: tuple[float, float] | None) -> tuple[Arr
 
 def loss_by_heat(hypotheses: Hypotheses) -> tuple[float, float]:
     """Return the relative loss of the constant within `HEATING_TIME`, over the square of the
-    current, 1/A2, and its standard uncertainty by what the hypotheses leave open."""
+    current, 1/A2, and its standard uncertainty by what the hypotheses leave open.
+
+    It is that of the hypotheses that have one: those without are there for the constant.
+    """
     means, found = hypotheses.means, hypotheses.weighed
-    probable = found.probable(means.plateaus * (LAW * means.contacts(found.best).level) ** 2)
     losses = found.slope[:, 2]
+    probable = found.probable(means.plateaus * (LAW * means.contacts(found.best).level) ** 2)
+    probable = probable * (losses > 0)
+    probable /= max(float(probable.sum()), TINY)
     loss = float(probable @ losses)
     spread = math.sqrt(float(probable @ ((losses - loss) ** 2 + found.variance[:, 2])))
     stairs = means.stairs

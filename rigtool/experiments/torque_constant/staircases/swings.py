@@ -192,7 +192,7 @@ def _swing_changes(
     course = np.tensordot(probable / probable.sum(), lagged, 1)
     delayed = with_ripple[:, :, None] * course
     # Friction changes with the constant, too: what that does to swings is no lag of ripple.
-    left = []
+    left: list[Array] = []
     for size in grown.mean(axis=2):
         root = max(float(np.linalg.norm(size)), TINY)
         rest = swing - average - found - delayed - sum(left)

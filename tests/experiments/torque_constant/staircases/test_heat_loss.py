@@ -57,6 +57,12 @@ def test_what_friction_by_its_law_leaves_open_is_no_evidence():
     assert u**2 == pytest.approx(1e-6 * second / (1 + second) ** 2, rel=1e-9)
 
 
+def test_hypotheses_without_a_loss_say_nothing_about_its_size():
+    """They are tried for the sake of the constant, however probable."""
+    found = weighed_from([0.0, 1e-3, 0.0, 2e-3], [1e-10, 1.1e-10, 1e-10, 1.1e-10])
+    assert loss_of(found, 0.0) == pytest.approx((1.5e-3, 0.5e-3), rel=1e-9)
+
+
 def test_what_a_hypothesis_leaves_open_by_itself_counts():
     found = weighed_from([1e-3, 1e-3], [1e-10, 1e-10])
     found.variance[:, 2] = 1e-8, 3e-8
