@@ -165,6 +165,18 @@ class Problem:
         moves = self._moves(number, shape, coefficient)
         return np.vstack([moves, self._at(number, shape).rows[:-1]])
 
+    def influence(self, number: int, shape: Shape, coefficient: Array) -> tuple[Array, Array]:
+        """Return how a record's used rows move the right-hand side, V^-1 X (p, r), and the
+        covariance (p, p) that the deviations of its strokes give it."""
+        x, v = self.derivatives(number, shape, coefficient), self.variance[number]
+        deviating = np.zeros((len(x), len(x)))
+        for one in self._strokes[number]:
+            own = x[:, one.inside]
+            own -= np.linalg.solve(one.with_noise(v), one.shapes @ own.T).T @ one.shapes
+            moved = own @ one.shapes.T / v
+            deviating += (moved * one.variances) @ moved.T
+        return x / v, deviating
+
     def _moves(self, number: int, shape: Shape, coefficient: Array) -> Array:
         """Return the derivatives by the shape's logarithms at used rows."""
         at, record = self._at(number, shape), self.records[number]

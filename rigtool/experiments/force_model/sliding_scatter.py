@@ -1,14 +1,14 @@
 """Covariance of the parameters learned from sliding, with residuals that are correlated in time.
 
-    cov = H^-1 (P^-1 + sum over records of X' (R + T T') X / v^2) H^-1,  H = P^-1 + X' V^-1 X
+    cov = H^-1 (P^-1 + sum over records of W' (R + D + T T') W) H^-1,  W = V^-1 X,  H = P^-1 + X' W
 
 with the derivatives X by all parameters, P the priors, V the covariance of the noise that least
-squares assumes, v its white part, and R the covariance of the residuals. Friction's noise lasts
-longer than a row and is small where a load swings on its tendon: one number of rows for an
-independent row is too large there, and too small for what hardly changes along a stroke. R has the
-residuals' own power in each record, and in all records their common correlation, by the window of
-E. Parzen (Ann. Math. Statist. 32(4) 951-989, 1961; as an estimator: D. W. K. Andrews, Econometrica
-59(3) 817-858, 1991).
+squares assumes, D the part of it by which strokes deviate, and R the covariance of the residuals.
+Friction's noise lasts longer than a row and is small where a load swings on its tendon: one number
+of rows for an independent row is too large there, and too small for what hardly changes along a
+stroke. R has the residuals' own power in each record, and in all records their common correlation,
+by the window of E. Parzen (Ann. Math. Statist. 32(4) 951-989, 1961; as an estimator: D. W. K.
+Andrews, Econometrica 59(3) 817-858, 1991).
 
 T is the additional torque in the tendon if the angle is off by one standard deviation of an even
 distribution over a count, at each place where the rotor turns within one: a load then swings
@@ -37,7 +37,7 @@ tendon's stiffness by 2 %."""
 
 
 def moments(problem: Problem, shape: Shape, coefficient: Array, count: float) -> Array:
-    """Return X' (R + T T') X / v^2 of each record (records, p, p) for coefficients (t,) at a shape;
+    """Return W' (R + D + T T') W of each record (records, p, p) for coefficients (t,) at a shape;
     `count` rad is that of the encoder."""
     records = problem.records
     left = [problem.remaining(n, shape, coefficient) for n in range(len(records))]
@@ -45,7 +45,7 @@ def moments(problem: Problem, shape: Shape, coefficient: Array, count: float) ->
     found = []
     for n, record in enumerate(records):
         rows = np.zeros((len(coefficient) + len(problem.shape_spread), record.count))
-        rows[:, record.used] = problem.derivatives(n, shape, coefficient) / problem.variance[n]
+        rows[:, record.used], noise = problem.influence(n, shape, coefficient)
         size = record.count + len(correlation)
         size += size % 2
         spectrum = np.fft.rfft(rows, size)
@@ -56,7 +56,7 @@ def moments(problem: Problem, shape: Shape, coefficient: Array, count: float) ->
         twice[[0, -1]] = 1.0
         power = np.maximum(np.fft.rfft(lags).real, 0.0) * twice / size
         white = float(np.mean(left[n] ** 2)) * record.passes
-        noise = white * ((spectrum * power) @ spectrum.conj().T).real
+        noise += white * ((spectrum * power) @ spectrum.conj().T).real
         if record.periodic:
             turned = _turned(RecordState.of(shape, problem.known, record), count)
             off = rows @ record.rows(turned).T

@@ -34,8 +34,9 @@ class Sums:
     def remaining(self, number, shape, coefficient):
         return self.noise[number, self.records[number].used]
 
-    def derivatives(self, number, shape, coefficient):
-        return self.columns[:, self.records[number].used]
+    def influence(self, number, shape, coefficient):
+        rows = self.columns[:, self.records[number].used] / self.variance[number]
+        return rows, np.zeros((len(rows), len(rows)))
 
 
 def expected(sums):

@@ -100,6 +100,20 @@ def test_sums_are_those_with_the_whole_covariance(problem, number):
 
 
 @pytest.mark.parametrize("number", [0, 1])
+def test_the_influence_of_rows_is_that_with_the_whole_covariance(problem, number):
+    """Along a stroke's deviation a row moves little, as least squares does not trust it there."""
+    x, whole = problem.derivatives(number, SHAPE, COEFFICIENT), covariance(problem, number)
+    expected = np.linalg.solve(whole, x.T).T
+    strokes = whole - problem.variance[number] * np.eye(len(whole))
+    found, deviating = problem.influence(number, SHAPE, COEFFICIENT)
+    size = np.abs(expected).max(axis=1, keepdims=True)
+    assert_allclose(found / size, expected / size, rtol=1e-5, atol=1e-8)
+    scale = np.sqrt(np.diag(expected @ strokes @ expected.T))
+    each = np.outer(scale, scale)
+    assert_allclose(deviating / each, expected @ strokes @ expected.T / each, atol=1e-5)
+
+
+@pytest.mark.parametrize("number", [0, 1])
 def test_the_shape_comes_first_in_sums_with_its_derivatives(problem, number):
     rows, whole = rows_of(problem, number), covariance(problem, number)
     every = np.vstack([problem.derivatives(number, SHAPE, COEFFICIENT), rows[-1]])
