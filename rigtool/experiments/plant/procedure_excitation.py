@@ -61,7 +61,7 @@ def excited_lines(recipe: Recipe) -> LineNumbers:
         raise RecipeError(
             f"identify_plant.frequency_min {settings.frequency_min} Hz to frequency_max "
             f"{settings.frequency_max} Hz hold {len(lines)} lines of a period of {period:.4g} s, "
-            f"{MIN_LINES} are needed: raise frequency_max or identify_plant.period"
+            f"{MIN_LINES} are needed: raise frequency_max, identify_plant.lines or the period"
         )
     return lines
 
