@@ -58,6 +58,9 @@ explain."""
 SERIES = 0.08
 """Largest c w2, with which a lag of first order differs from its series by c2 w4 = 0.6 %."""
 
+BY_STEPS = 0.5
+"""Part of the scatter of a line that the encoder's steps make, above which they hide it."""
+
 MAX_EVALUATIONS = 500
 """Largest number of evaluations in one fit; without a second mass it does not converge."""
 
@@ -113,15 +116,7 @@ def fit_plant(found: FrequencyResponse, sample_time: float, nominal_inertia: flo
     """
     used = found.coherence >= MIN_COHERENCE
     if used.sum() < max(MIN_LINES, len(used) / 2):
-        raise InsufficientDataError(
-            f"only {used.sum()} of {len(used)} lines have a coherence of at least {MIN_COHERENCE} "
-            f"(lowest {found.coherence.min():.2g} at "
-            f"{found.frequency[np.argmin(found.coherence)]:.4g} Hz), half of them and at least "
-            f"{MIN_LINES} are needed: the excitation is lost in disturbances and in the steps of "
-            "the encoder; raise identify_plant.speeds (stroke_speeds with the instrument), swing "
-            "or periods, take a stiffer [rig.controller], which keeps the shaft moving, or correct "
-            "[rig.inertia], by which the excitation is scaled"
-        )
+        raise InsufficientDataError(_incoherent(found, used))
     while True:
         fit = _of_lines(found, used, sample_time, nominal_inertia)
         highest = math.sqrt(SERIES / max(fit.roll_off, TINY)) / (2 * math.pi)
@@ -136,6 +131,30 @@ def fit_plant(found: FrequencyResponse, sample_time: float, nominal_inertia: flo
                 "identify_plant.frequency_max"
             )
         used = within
+
+
+def _incoherent(found: FrequencyResponse, used: Mask) -> str:
+    """Return why lines do not show the excitation, and what helps.
+
+    Coherence is that in one period, whatever their number.
+    """
+    text = (
+        f"only {used.sum()} of {len(used)} lines have a coherence of at least {MIN_COHERENCE} "
+        f"(lowest {found.coherence.min():.2g} at "
+        f"{found.frequency[np.argmin(found.coherence)]:.4g} Hz), half of them and at least "
+        f"{MIN_LINES} are needed: the excitation is lost in "
+    )
+    share = float(np.median(np.square(found.quantisation / np.maximum(found.u, TINY))[~used]))
+    more = "raise identify_plant.speeds (stroke_speeds with the instrument) or swing, take"
+    if share < BY_STEPS:
+        return (
+            f"{text}disturbances; {more} a stiffer [rig.controller], which keeps the shaft moving, "
+            "or correct [rig.inertia], by which the excitation is scaled"
+        )
+    text += f"the steps of the encoder; {more} an encoder with more counts"
+    if used.sum() < MIN_LINES:
+        return text
+    return f"{text}, or lower identify_plant.frequency_max to {found.frequency[used].max():.4g} Hz"
 
 
 def _of_lines(

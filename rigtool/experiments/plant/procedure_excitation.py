@@ -17,6 +17,7 @@ import numpy as np
 
 from rigtool.control.position_loop import position_loop
 from rigtool.errors import RecipeError
+from rigtool.experiments.plant.fit import MIN_LINES
 from rigtool.experiments.plant.multisine import (
     LineNumbers,
     periodic,
@@ -55,7 +56,14 @@ def excited_lines(recipe: Recipe) -> LineNumbers:
             f"identify_plant.frequency_max {settings.frequency_max} Hz must lie below half the "
             f"sampling rate, {0.5 / rig.sample_time:.4g} Hz"
         )
-    return quasi_log_lines(max(low, 1), max(high, 2), settings.lines)
+    lines = quasi_log_lines(max(low, 1), max(high, 2), settings.lines)
+    if len(lines) < MIN_LINES:
+        raise RecipeError(
+            f"identify_plant.frequency_min {settings.frequency_min} Hz to frequency_max "
+            f"{settings.frequency_max} Hz hold {len(lines)} lines of a period of {period:.4g} s, "
+            f"{MIN_LINES} are needed: raise frequency_max, identify_plant.lines or the period"
+        )
+    return lines
 
 
 def excitations(recipe: Recipe) -> list[Excitation]:

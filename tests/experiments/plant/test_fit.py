@@ -212,6 +212,21 @@ def test_fewer_than_half_of_the_lines_are_too_few():
         fit_plant(replace(found, coherence=coherence), SAMPLE_TIME, NOMINAL)
 
 
+@pytest.mark.parametrize("coherent", [9, 5])
+def test_lines_that_the_steps_of_the_encoder_hide_need_more_counts(coherent):
+    """More periods would not help: coherence is that in one."""
+    found = measured(RIGID, 2)
+    coherence = np.where(np.arange(len(FREQUENCY)) < coherent, 0.99, 0.5)
+    hidden = replace(found, coherence=coherence, quantisation=0.9 * found.u)
+    with pytest.raises(InsufficientDataError, match=r"encoder; .* with more counts") as error:
+        fit_plant(hidden, SAMPLE_TIME, NOMINAL)
+    remedy = f"lower identify_plant.frequency_max to {FREQUENCY[8]:.4g} Hz"
+    assert (remedy in str(error.value)) == (coherent == 9)
+    assert "periods" not in str(error.value)
+    with pytest.raises(InsufficientDataError, match="lost in disturbances; raise"):
+        fit_plant(replace(hidden, quantisation=0.5 * found.u), SAMPLE_TIME, NOMINAL)
+
+
 def test_a_line_on_which_ripple_falls_is_no_second_mass():
     """Its scatter is its own, many times that of its neighbours, and 3.3 of it is its error."""
     for seed in range(4):

@@ -129,3 +129,9 @@ def test_what_does_not_fit_is_refused():
     assert excited_lines(recipe("frequency_max=3990"))[-1] < 1000
     with pytest.raises(RecipeError, match="lower the speed, or the period"):
         excitations(recipe("stroke_speeds=[30]", attachment="instrument"))
+
+
+def test_a_band_of_few_lines_is_refused_before_the_rig_moves():
+    assert len(excited_lines(recipe("frequency_max=32"))) == 8
+    with pytest.raises(RecipeError, match=r"hold 7 lines of a period of 0\.25 s, 8"):
+        excited_lines(recipe("frequency_max=28"))
