@@ -147,9 +147,9 @@ def _of_this_mounting(
         ]
     misfits = np.maximum(np.abs(offsets), shapes)
     typical, together = float(np.median(misfits[known])), abs(float(np.mean(offsets[known])))
+    runs = int(known.sum())
     doubted, refused = (
-        (loop.limit(level), loop.limit_of_mean(level, int(known.sum())))
-        for level in (DOUBTED, REFUSED)
+        (loop.limit(level, runs), loop.limit_of_mean(level, runs)) for level in (DOUBTED, REFUSED)
     )
     for found, most, whose in ((typical, refused[0], ""), (together, refused[1], " in one sense")):
         if found > most:
@@ -160,7 +160,9 @@ def _of_this_mounting(
                 "learned ones: learn tables from runs of this mounting, under three loads or more "
                 "(two with --prior, where there is no third)"
             )
-    factors = np.where(np.nan_to_num(misfits) > doubted[0], misfits, 1.0)
+    factors = np.where(np.nan_to_num(misfits) > loop.limit(DOUBTED), misfits, 1.0)
+    if typical > doubted[0]:
+        factors = np.maximum(factors, typical)
     if together > doubted[1]:
         factors = np.maximum(factors, math.hypot(1, together))
     wider = [

@@ -11,9 +11,10 @@ recordings that were learned, by the sensor,
 S are the root mean squares of o and s over those recordings, each as measured when it was left out
 with its load, or with others where that is the lowest or the highest: what few loads leave unknown
 of the friction between them is part of S. T is about 1; Student's t with the number of recordings
-less one states how far it may be. The mean of o over n runs is known better than one: of r
-recordings, its standard deviation is S_o sqrt(c + (1 - c) / n + 1 / r), where c is what runs at one
-load or speed have in common.
+less one states how far it may be. Of n runs the median of T is known better than one: they are as
+1 / (c + (1 - c) / n) that are independent, and T^2 goes as F with so many degrees of freedom, where
+c is what runs at one load or speed have in common. So is the mean of o: of r recordings, its
+standard deviation is S_o sqrt(c + (1 - c) / n + 1 / r).
 """
 
 from __future__ import annotations
@@ -61,11 +62,15 @@ class StrokeLoop:
         shape = float(np.sqrt(np.nanmean(((apart - offset) / self.shape) ** 2)))
         return offset / self.offset, shape
 
-    def limit(self, confidence: float) -> float:
-        """Return the T beyond which a recording is not one of those learned."""
-        from scipy.special import stdtrit
+    def limit(self, confidence: float, runs: int = 1) -> float:
+        """Return the T, of several runs the median, beyond which they are not like those learned.
 
-        return float(stdtrit(max(self.recordings - 1, 1), (1 + confidence) / 2))
+        Of one run it is Student's t.
+        """
+        from scipy.special import fdtri
+
+        independent = 1 / (COMMON_SHARE + (1 - COMMON_SHARE) / runs)
+        return math.sqrt(float(fdtri(independent, max(self.recordings - 1, 1), confidence)))
 
     def limit_of_mean(self, confidence: float, runs: int) -> float:
         """Return the mean of o / S_o over `runs` beyond which they are not of this mounting."""

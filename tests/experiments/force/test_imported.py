@@ -124,9 +124,11 @@ def test_a_way_of_which_a_quarter_was_not_learned_is_refused(high, refused):
 
 
 def limits(recordings, level, runs):
-    """Student's t of one run, and of the mean of several that share a quarter of variance."""
+    """Limits of the median and of the mean of runs that share a quarter of their variance."""
     t = stats.t.interval(level, recordings - 1)[1]
-    return t, t * math.sqrt(0.25 + 0.75 / runs + 1 / recordings)
+    independent = 1 / (0.25 + 0.75 / runs)
+    median = math.sqrt(stats.f.ppf(level, independent, recordings - 1))
+    return median, t * math.sqrt(0.25 + 0.75 / runs + 1 / recordings)
 
 
 def widened(offsets, recordings=6, noisier=1.0):
@@ -142,7 +144,7 @@ def widened(offsets, recordings=6, noisier=1.0):
 
 
 def test_runs_that_disagree_by_chance_keep_their_u():
-    one, _ = limits(6, 0.95, 4)
+    one, _ = limits(6, 0.95, 1)
     factors, notes = widened([0.5, -0.5, 0.9 * one, -0.9 * one])
     np.testing.assert_allclose(factors, 1.0, rtol=1e-12)
     most = limits(6, 0.99, 4)
@@ -151,7 +153,7 @@ def test_runs_that_disagree_by_chance_keep_their_u():
 
 
 def test_a_run_that_disagrees_more_has_a_wider_u():
-    one, _ = limits(6, 0.95, 3)
+    one, _ = limits(6, 0.95, 1)
     factors, notes = widened([0.5, -0.5, -1.1 * one])
     np.testing.assert_allclose(factors, [1.0, 1.0, 1.1 * one], rtol=1e-6)
     assert notes[1].startswith(f"u of 1 runs is wider, up to {1.1 * one:.2g} times")
@@ -173,11 +175,24 @@ def test_runs_that_disagree_in_one_sense_widen_all():
 
 
 def test_runs_that_all_disagree_are_refused():
-    one, _ = limits(6, 0.99, 4)
-    with pytest.raises(InsufficientDataError, match=f"disagree {1.01 * one:.1f} times as much as"):
-        widened([1.01 * one, -1.01 * one, 1.01 * one, -1.01 * one])
+    """Where none is beyond the limit of one run, and they do not disagree in one sense, too."""
+    most, _ = limits(6, 0.99, 4)
+    one, _ = limits(6, 0.99, 1)
+    assert 1.01 * most < one
+    message = f"disagree {1.01 * most:.1f} times as much as"
+    with pytest.raises(InsufficientDataError, match=message):
+        widened([1.01 * most, -1.01 * most] * 2)
     # half of them alone is not typical
     assert max(widened([1.01 * one, -1.01 * one, 0.1, 0.1, 0.1])[0]) == pytest.approx(1.01 * one)
+
+
+def test_runs_that_all_disagree_a_little_have_a_wider_u():
+    doubted, refused = (limits(6, level, 4)[0] for level in (0.95, 0.99))
+    typical = (doubted + min(refused, limits(6, 0.95, 1)[0])) / 2
+    factors, notes = widened([typical, -typical] * 2)
+    np.testing.assert_allclose(factors, typical, rtol=1e-6)
+    assert notes[1].startswith("u of 4 runs is wider")
+    np.testing.assert_allclose(widened([0.99 * doubted, -0.99 * doubted] * 2)[0], 1.0, rtol=1e-9)
 
 
 def test_one_direction_is_not_compared():

@@ -58,6 +58,8 @@ def test_parts_of_a_recording_are_those_of_its_offset_and_shape():
 def test_limits_are_those_of_student_and_fall_with_the_runs():
     found = learn_loop(*recordings(6, 2)[:5])
     assert_allclose(found.limit(0.95), stats.t.interval(0.95, 5)[1], rtol=1e-9)
+    several = stats.f.ppf(0.95, 1 / (0.25 + 0.75 / 3), 5)
+    assert_allclose(found.limit(0.95, 3), np.sqrt(several), rtol=1e-9)
     # one run deviates as a recording does, and the mean of those learned with it
     assert_allclose(found.limit_of_mean(0.99, 1) / found.limit(0.99), np.sqrt(7 / 6), rtol=1e-9)
     # what runs have in common never averages out
