@@ -118,13 +118,15 @@ def difference(first: Quantity, second: Quantity) -> Quantity:
 
     Lines of one budget that have a name in common are independent of each other.
     """
-    lines, named = list(first.budget), [line.name for line in first.budget]
-    for line in second.budget:
-        if line.name in named:
-            at = named.index(line.name)
-            lines[at] = replace(line, sensitivity=lines[at].sensitivity - line.sensitivity)
-        else:
-            lines.append(replace(line, sensitivity=-line.sensitivity))
+    lines: list[Component] = []
+    others = list(second.budget)
+    for line in first.budget:
+        same = next((one for one in others if one.name == line.name), None)
+        if same is not None:
+            others.remove(same)
+            line = replace(same, sensitivity=line.sensitivity - same.sensitivity)
+        lines.append(line)
+    lines += [replace(line, sensitivity=-line.sensitivity) for line in others]
     return combined(first.value - second.value, first.unit, lines)
 
 
