@@ -19,13 +19,7 @@ from numpy.typing import NDArray
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import LARGEST_LEARNED_RATIO, State
-from rigtool.experiments.imported_load.basis import (
-    ROUNDING,
-    LoadSignals,
-    Scales,
-    ShaftPath,
-    find_scales,
-)
+from rigtool.experiments.imported_load.basis import LoadSignals, Scales, ShaftPath, find_scales
 from rigtool.experiments.imported_load.loop import learn_loop
 from rigtool.experiments.imported_load.model import (
     APART_SPEED,
@@ -51,6 +45,7 @@ from rigtool.experiments.imported_load.side import (
     HeldOut,
     Numbers,
     Rows,
+    effort_scale_of,
     groups_for,
 )
 from rigtool.numerics.arrays import Array, Mask
@@ -156,7 +151,7 @@ def learn_load_model(
     middles, stroke = _strokes(signals)
     folds, levels = _folds(level)
     rows = [Rows.of(signals, scales, sign) for sign in SIDE_SIGNS]
-    effort_scale = _effort_scale(np.concatenate([one.effort for one in rows]))
+    effort_scale = effort_scale_of(np.concatenate([one.effort for one in rows]))
     if prior is not None:
         effort_scale = prior.effort_scale
     rows = [replace(one, effort=one.effort / effort_scale) for one in rows]
@@ -208,17 +203,6 @@ def learn_load_model(
     torque, error, u = (scales.torque * values[resolved] for values in (torque, error, u))
     validation = Validation(torque, error, u, level[recording][resolved], against[resolved])
     return LearnedEffort(model, int(pace.max()) + 1, validation, friction)
-
-
-def _effort_scale(effort: Array) -> float:
-    """Return the standard deviation of efforts (n,); raise where they are one value."""
-    scale = float(np.std(effort))
-    if scale <= ROUNDING * float(np.abs(effort).max()):
-        raise InsufficientDataError(
-            f"the effort is {effort[0]:.4g} throughout, in all motion: it is not that of this "
-            "motor; correct its column in the mapping"
-        )
-    return scale
 
 
 def _bend(sides: Sequence[Side]) -> float:

@@ -30,6 +30,7 @@ from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.imported_load.basis import (
     LOAD_POWER,
+    ROUNDING,
     SPLINE_COUNT,
     LoadSignals,
     Scales,
@@ -343,6 +344,17 @@ def penalty_of(names: Sequence[str], size: Array) -> Array:
         blocks.append(SMOOTHING_DEGREE * block + held * np.eye(count))
         start += count
     return np.asarray(block_diag(*blocks))
+
+
+def effort_scale_of(effort: Array) -> float:
+    """Return the standard deviation of efforts (n,); raise where they are one value."""
+    scale = float(np.std(effort))
+    if scale <= ROUNDING * float(np.abs(effort).max()):
+        raise InsufficientDataError(
+            f"the effort is {effort[0]:.4g} throughout, in all motion: it is not that of this "
+            "motor; correct its column in the mapping"
+        )
+    return scale
 
 
 def groups_for(names: Sequence[str], levels: int) -> tuple[str, ...]:
