@@ -169,11 +169,14 @@ def test_a_single_staircase_has_usual_sizes_for_what_it_does_not_show(tmp_path):
 
 
 def test_repeated_staircases_of_a_turning_shaft_are_not_those_of_a_bench(tmp_path):
-    _, recorded = draw("staircase", 5)
-    arrays = {"t": recorded.time, "i": recorded.current, "f": recorded.torque / 0.5}
-    arrays |= {"degc": recorded.temperature, "v": np.full(len(recorded.time), 30.0)}
+    files = {}
+    for name, seed in (("a", 5), ("b", 6)):
+        _, recorded = draw("staircase", seed)
+        arrays = {"t": recorded.time, "i": recorded.current, "f": recorded.torque / 0.5}
+        arrays |= {"degc": recorded.temperature, "v": np.full(len(recorded.time), 30.0)}
+        files[name] = arrays
     text = TEXT + 'speed = { column = "v", unit = "rad/s" }\n'
-    paths = take(tmp_path, text, {"a": arrays, "b": arrays})
+    paths = take(tmp_path, text, files)
     outcome = calibrate(paths, tmp_path / "kt.h5")
     assert "the shaft turns" in " ".join(outcome.notes)
     assert "calibration_points" in outcome.tables
