@@ -169,14 +169,12 @@ def test_a_single_staircase_has_usual_sizes_for_what_it_does_not_show(tmp_path):
 
 
 def test_repeated_staircases_of_a_turning_shaft_are_not_those_of_a_bench(tmp_path):
-    files = {}
-    for name, seed in (("a", 5), ("b", 6)):
-        _, recorded = draw("staircase", seed)
-        arrays = {"t": recorded.time, "i": recorded.current, "f": recorded.torque / 0.5}
-        arrays |= {"degc": recorded.temperature, "v": np.full(len(recorded.time), 30.0)}
-        files[name] = arrays
+    _, recorded = draw("staircase", 5)
+    arrays = {"t": recorded.time, "i": recorded.current, "f": recorded.torque / 0.5}
+    arrays |= {"degc": recorded.temperature, "v": np.full(len(recorded.time), 30.0)}
+    again = arrays | {"f": arrays["f"] + np.random.default_rng(6).normal(0, 1e-5, len(arrays["f"]))}
     text = TEXT + 'speed = { column = "v", unit = "rad/s" }\n'
-    paths = take(tmp_path, text, files)
+    paths = take(tmp_path, text, {"a": arrays, "b": again})
     outcome = calibrate(paths, tmp_path / "kt.h5")
     assert "the shaft turns" in " ".join(outcome.notes)
     assert "calibration_points" in outcome.tables
