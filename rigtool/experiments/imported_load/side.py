@@ -347,7 +347,10 @@ def penalty_of(names: Sequence[str], size: Array) -> Array:
 
 
 def effort_scale_of(effort: Array) -> float:
-    """Return the standard deviation of efforts (n,); raise where they are one value."""
+    """Return the standard deviation of efforts (n,).
+
+    Raises `InsufficientDataError` where they are one value.
+    """
     scale = float(np.std(effort))
     if scale <= ROUNDING * float(np.abs(effort).max()):
         raise InsufficientDataError(
