@@ -200,7 +200,7 @@ struct rigtool_sensor {
     int held_steps;
     rs_real waves[RS_WAVES + 1], row[RS_PARTS], ripple_q[RS_ORDER];
     struct rs_hypothesis hypotheses[2]; /* near the learned ripple, and another one */
-    rs_real other, others[2]; /* logarithm of the second's likelihood over the first's; as it was */
+    rs_real other, proven; /* logarithm of the second's likelihood over the first's; what stays */
     /* of all: both weights, the rest is the learned ripple's; mean of the ripple, and variance */
     rs_real weights[2], ripples[RS_WAVES], ripple_spread, unfollowed[1 + RS_POWERS];
     rs_real level[2], level_variance[2], fast; /* then: by a slow, a fast walk; probability of that */
@@ -910,7 +910,8 @@ static inline void rs_begin_anew(struct rigtool_sensor *s)
     }
     if (s->other > 0)
         s->other = 0;
-    s->others[0] = s->others[1] = s->other;
+    if (s->proven > 0)
+        s->proven = 0;
     h->before[0] = h->before[1] = h->known;
 }
 
@@ -1093,11 +1094,10 @@ static inline void rs_take(struct rigtool_sensor *s)
     }
     if (s->hypotheses[0].touched > m->row_recognised
         && s->hypotheses[1].touched > m->row_recognised) {
-        s->others[1] = s->other = s->others[0];
-    } else if (s->hypotheses[1].touched <= m->row_recognised
-               && s->hypotheses[1].since + 1 >= RS_LATE_ROWS) {
-        s->others[0] = s->others[1];
-        s->others[1] = s->other;
+        s->other = s->proven;
+    } else {
+        const rs_real more = s->other - s->proven, most = m->row_ends;
+        s->proven += more > most ? most : more < -most ? -most : more;
     }
     for (j = 0; j < 2; j++)
         rs_take_back(&s->hypotheses[j]);

@@ -40,7 +40,9 @@ NOISE, WALKS, AFTER_REVERSAL, CONTACT = 0.7, (1.5, 6.0), 1.5, 100.0
 square root of a second, and what M may change by over a reversal and where it leaps."""
 
 BEGINS, ENDS, CHANGES = 0.2, 0.7, 2.0
-"""Rates at which contacts begin, end, and leap or change their walk, 1/s."""
+"""Rates at which contacts begin, end, and leap or change their walk, 1/s. A contact under one
+hypothesis may be ripple under the other. It lasts for t with the probability exp(-`ENDS` t): the
+time t may speak against it by no more than `ENDS` t once both hypotheses see a contact."""
 
 RECOGNISED, LATE_TIME = 0.9, 0.5
 """Probability of a contact from which on it is recognised; and the time, s of sliding, of which at
@@ -130,7 +132,7 @@ STATE = np.dtype(
         ("lastings", "f8", (2, 2, 2)),
         ("lasts", "f8", (2,)),
         ("other", "f8"),  # logarithm of the likelihoods' ratio
-        ("others", "f8", (2,)),  # as it was, as means
+        ("proven", "f8"),  # what of it stays where both hypotheses see a contact
         # of all hypotheses: weights of these two, mean and covariance (its lower part) of the
         # ripple, and the variance on the output that holds now
         ("weights", "f8", (2,)),
@@ -181,9 +183,10 @@ def read_row(s: Record, p: Record) -> None:
                 _begin_anew(s)
                 break
         if min(s.touched[0], s.touched[1]) > RECOGNISED:
-            s.others[1] = s.other = s.others[0]
-        elif s.touched[1] <= RECOGNISED and s.since[1] + 1.0 >= p.late:
-            s.others[0], s.others[1] = s.others[1], s.other
+            s.other = s.proven
+        else:
+            most = ENDS * p.time
+            s.proven += min(max(s.other - s.proven, -most), most)
         for h in range(2):
             _take_back(s, p, h)
     mix(s)
@@ -361,7 +364,7 @@ def _take_back(s: Record, p: Record, h: int) -> None:
 @compiled_allocating
 def _begin_anew(s: Record) -> None:
     """Forget another power-up's ripple: what was taken for it is too large."""
-    s.others[:] = s.other = min(s.other, 0.0)
+    s.other, s.proven = min(s.other, 0.0), min(s.proven, 0.0)
     for i in range(WAVE_COUNT):
         s.mean[1, i], s.shift[1, i] = s.expected[1, i], 0.0
         for j in range(WAVE_COUNT + 1):

@@ -360,6 +360,20 @@ def test_a_force_that_swings_with_rows_of_20_ms_is_no_ripple(frequency):
     assert np.mean(held) > 0.7
 
 
+@pytest.mark.parametrize(("frequency", "share"), [(0.5, 0.75), (0.7, 0.95)])
+def test_a_weak_force_that_swings_all_the_time_decides_for_no_power_up(frequency, share):
+    """In the first second it may look like ripple; then both hypotheses see a contact."""
+    time, angle, states = motion(30.0)
+    held = []
+    for part in range(6):
+        swing = 2e-3 * np.sin(2 * np.pi * (frequency * time + part / 6))
+        states[:, TORQUE] = swing + noise(time, states, part)
+        power_up = PowerUp(model(), STEP, BANDWIDTH)
+        found, variance, *_ = power_up.add(angle, states, *follows(states))
+        held.append(np.mean(np.abs(found) < 1.96 * np.sqrt(variance)))
+    assert np.mean(held) > share
+
+
 def test_in_fast_motion_ripple_is_what_the_filter_shows_of_it():
     """Ten strokes in a second: the filter shows the second order late and in part."""
     time = np.arange(round(10.0 / sensors.INTERVAL)) * sensors.INTERVAL

@@ -21,6 +21,7 @@ from rigtool.experiments.force_sensor.shown_ripple import LARGEST_SHOWN, show, t
 
 COUNT = rows.WAVE_COUNT
 SIZE, TIME = 0.4e-3, 0.019
+MOST = rows.ENDS * TIME
 UNIT = math.log(2 * math.pi) / 2  # that the likelihoods of the module leave out
 
 
@@ -43,7 +44,7 @@ def drawn(seed, slides=True):
     s["lasting"][:, 1] = SIZE**2 * rng.uniform(1, 2, 2)
     s["lastings"] = SIZE * rng.uniform(1, 2, s["lastings"].shape)
     s["level_variance"] = SIZE**2 * rng.uniform(1, 30, 2)
-    s["other"], s["others"] = rng.standard_normal(), rng.standard_normal(2)
+    s["other"], s["proven"] = rng.standard_normal(2)
     for name in ("touched", "fast", "lasts"):
         s[name] = rng.uniform(0.1, 0.6, s[name].shape)
     s["row"] = np.append(rng.uniform(-1, 1, COUNT), SIZE * rng.standard_normal())
@@ -127,6 +128,7 @@ def read(s):
         found["mean"][h], found["shift"][h] = mean + gain * error, shift - gain * own
         found["covariance"][h] = covariance - np.outer(gain, seen @ covariance)
     found["other"] = s["other"] + evidence[1] - evidence[0]
+    found["proven"] = s["proven"] + np.clip(found["other"] - s["proven"], -MOST, MOST)
     return found
 
 
@@ -168,7 +170,7 @@ KEPT = ("mean", "shift", "lasting", "covariance")
 
 def assert_state(s, expected):
     taken_back = (*KEPT, *(name + "s" for name in KEPT), "since")
-    taken_back += ("other", "others", "known", "doubt", "weights")
+    taken_back += ("other", "proven", "known", "doubt", "weights")
     for name in s.dtype.names:
         if s["touched"].max() > rows.RECOGNISED and name in taken_back:
             continue
@@ -220,21 +222,21 @@ def test_a_row_in_which_the_motion_turns_back_is_not_read():
 @pytest.mark.parametrize("times", [0.99, 1.01])
 def test_an_order_beyond_three_times_what_a_power_up_draws_begins_anew(times):
     """Each order has the sum of both of its variances."""
-    state, parameters = drawn(2)
+    state, parameters = drawn(0)
     s, order = state[0], 2 * (COUNT // 2 - 1)
     s["covariance"] = 1e-9 * np.diag(s["drawn"][0, 0] * np.ones(COUNT + 1))  # a row changes no mean
     limit = rows.LARGEST_RIPPLE_RATIO * math.sqrt(s["drawn"][1, order : order + 2].sum())
     s["mean"][:, :COUNT] = s["expected"]
     s["mean"][:, order : order + 2] += times * limit * np.array([0.6, -0.8])
     s["row"][-1], s["lasts"] = s["row"][:-1] @ s["mean"][1, :-1], 0.0
-    s["other"] = 300.0
+    s["other"], s["proven"] = 300.0, 5.0
     kept = s["mean"].copy()
     rows.read_row(s, parameters[0])
     if times < 1:
         assert_allclose(s["mean"][1, :COUNT], kept[1, :COUNT], rtol=1e-4)
         return
     assert s["other"] == 0.0
-    assert not s["others"].any()
+    assert s["proven"] == 0.0
     assert_allclose(s["mean"][1, :COUNT], s["expected"][1])
     assert not s["shift"][1, :COUNT].any()
     own = np.eye(COUNT + 1)[:COUNT] * np.append(s["drawn"][1], 0)
@@ -255,15 +257,26 @@ def test_odds_stay_within_the_largest_ratio():
         assert state["other"][0] == sign * rows.MAX_LOG_RATIO
 
 
+@pytest.mark.parametrize("other", [-20.0, 20.0])
+def test_evidence_that_stays_grows_as_a_contact_may_have_lasted(other):
+    state, parameters = drawn(3)
+    s = state[0]
+    s["other"], s["proven"] = other, 0.0
+    rows.read_row(s, parameters[0])
+    assert s["touched"].max() < rows.RECOGNISED
+    assert abs(s["other"]) > 10
+    assert s["proven"] == pytest.approx(math.copysign(rows.ENDS * TIME, other))
+
+
 def test_what_was_known_before_a_recognised_contact_comes_back():
     state, parameters = drawn(4)
     s = state[0]
     s["row"][-1] = 60 * SIZE
     before = {name: s[name + "s"].copy() for name in KEPT}
-    odds = s["others"].copy()
+    proven = s["proven"].copy()
     rows.read_row(s, parameters[0])
     assert s["touched"].min() > rows.RECOGNISED
-    assert_allclose([s["other"], *s["others"]], odds[0])
+    assert s["other"] == s["proven"] == proven
     assert not s["since"].any()
     for name in KEPT:
         # what strokes deviate by is drawn anew
@@ -283,10 +296,8 @@ def test_what_is_known_is_kept_every_so_many_rows(since, moved):
     s = state[0]
     s["since"] = since
     before = {name: s[name + "s"].copy() for name in KEPT}
-    odds = s["others"].copy()
     rows.read_row(s, parameters[0])
     assert s["touched"].max() < rows.RECOGNISED
-    assert_allclose(s["others"], [odds[1], s["other"]] if moved else odds)
     assert_allclose(s["since"], 0 if moved else since + 1)
     for name in KEPT:
         now = np.stack([before[name][:, 1], s[name]], axis=1) if moved else before[name]
