@@ -144,13 +144,16 @@ def test_what_a_line_printed_before_it_was_killed_is_not_lost():
     [(signal.SIGINT, 130, "KeyboardInterrupt"), (signal.SIGTERM, 143, "Terminated")],
 )
 def test_signals_go_on_to_all_that_run(tmp_path, number, code, word, group):
-    """Those of a terminal reach all processes by themselves."""
+    """Those of a terminal reach all processes by themselves, and once more by the batch: what is
+    written is held until it is whole."""
     body = """
+    from rigtool.interrupts import held
     try:
         open(name, "x")
         time.sleep(60)
     except BaseException as error:
-        print(type(error).__name__)
+        with held():
+            print(type(error).__name__)
         raise
 """
     running = subprocess.Popen(
