@@ -73,8 +73,8 @@ class Design:
 
     @property
     def rigs(self) -> int:
-        """Rigs that half an hour on two cores allows; learning known loads takes a minute each."""
-        return 40 if self.learns is None else 8
+        """Rigs that half an hour on two cores allows; known loads take two minutes to learn."""
+        return 24 if self.learns is None else 6
 
 
 def learning_of(step: Step) -> Step | None:
