@@ -533,6 +533,15 @@ def test_between_two_loads_friction_may_grow_in_any_way():
 
     model = learn_load_model([observed(*one) for one in product((0.02, 0.06), (0.2, 0.3))]).model
     line = replace(model, sides=tuple(replace(side, bend=0.0) for side in model.sides))
+    for side, flat in zip(model.sides, line.sides, strict=True):
+        count, way = len(side.weights), np.linspace(0.0, 1.0, 5)
+        torque = side.levels[0] + way * (side.levels[-1] - side.levels[0])
+        design = SimpleNamespace(
+            at=lambda t, n=count: np.zeros((len(t), n)), slope=lambda _, t: np.ones(len(t))
+        )
+        variances = [one.spread(design, np.ones(5), torque)[0] ** 2 for one in (side, flat)]
+        bent = np.sqrt(np.maximum(variances[0] - variances[1], 0.0))
+        np.testing.assert_allclose(bent, side.bend * way * (1 - way), atol=1e-6 * side.bend)
     items = [observed(*one) for one in product((0.035, 0.045), (0.2, 0.3))]
     for own, holds in ((model, True), (line, False)):
         found = [own.estimate(one.effort, one.path) for one in items]
