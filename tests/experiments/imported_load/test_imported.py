@@ -76,14 +76,22 @@ def test_each_level_has_its_errors_and_the_coverage_of_its_intervals():
     ("against", "back", "refused"),
     [(0.0152, 0.0152, False), (0.0154, 0.0152, False), (0.0152, 1.0, False), (0.0154, 1.0, True)],
 )
-def test_an_effort_that_does_not_show_the_load_is_refused(against, back, refused):
+def test_an_effort_that_does_not_show_the_load_is_refused(monkeypatch, against, back, refused):
     """Loads are within 30 mN m; half a 95 % interval is 1.96 u."""
     left_out = replace(VALIDATION, u=np.where(AGAINST, against, back))
+    signals = [SimpleNamespace(effort_unit="A")]
+    recording = SimpleNamespace(
+        has=lambda name: True, conditions={"linear_axis": 0.0}, condition=lambda name: 0.0
+    )
+    monkeypatch.setattr(imported, "recordings_of", lambda runs: [recording])
+    monkeypatch.setattr(imported, "read_all", lambda runs, kt, bandwidth_hz: signals)
+    shown = SimpleNamespace(validation=left_out)
+    monkeypatch.setattr(imported, "learn_load_model", lambda signals, *, turn, prior: shown)
     if refused:
         with pytest.raises(
             InsufficientDataError, match=r"read to 30\.2 mN m .* all are within 30 "
         ):
-            _require_shown(left_out)
+            imported.analyse_imported([])
     else:
         _require_shown(left_out)
 

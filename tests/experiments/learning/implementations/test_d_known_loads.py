@@ -166,6 +166,17 @@ def test_a_stored_run_is_corrected_afterwards(rig, thesis):
     assert (np.abs(off) < 2.5).all()
 
 
+def test_a_warmer_motor_has_less_torque_for_a_current(rig, thesis, monkeypatch):
+    source, read = rig.folder / "thesis.h5", []
+    for degc in (27.0, 42.0):
+        monkeypatch.setattr(measure_force, "mean_temperature", lambda _, degc=degc: degc)
+        loads = rig(LOAD, source=source, output="again.h5").tables["loads"]
+        read.append(loads["mean_torque"][2:])
+    # By 0.116 %/K of the constant at 20 degC; learned friction, a fifth of it, stays as it is.
+    expected = (1 - 0.00116 * 22) / (1 - 0.00116 * 7)
+    np.testing.assert_allclose(read[1] / read[0], expected, atol=0.3 * (1 - expected))
+
+
 @pytest.mark.parametrize("correction", ["none", "load", "full"])
 def test_what_samples_lack_is_in_every_uncertainty(rig, thesis, monkeypatch, correction):
     """As a drive that is sent steps of position makes it: known from its line, taken on trust."""
