@@ -58,9 +58,9 @@ def steady_us(
 ) -> list[tuple[float, float]]:
     """Return standard uncertainty and degrees of freedom of each series' `steady_mean`.
 
-    Each of the series (m,) has its own scatter, all have the payback in common. `shares` say how
-    much each tells of it: one that is given k times, as much the same readings, 1/k. Raises
-    `InsufficientDataError` for fewer than three readings in one.
+    Each of the series (m,) has its own scatter, all have the payback in common. `shares` are the
+    weights of the series in the likelihood of the payback: 1 by default, 1/k for readings that are
+    given k times. Raises `InsufficientDataError` for fewer than three readings in one.
     """
     from scipy.special import chdtri
 
