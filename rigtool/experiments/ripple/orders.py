@@ -100,23 +100,15 @@ class Sampling:
         return np.sinc(cycles) ** 2 * np.sinc(cycles) / np.sinc(cycles / self.averaged)
 
 
-NO_ATTENUATION = Sampling(0.0)
-"""Sampling without attenuation, for waveforms that were not made of samples."""
-
-
 @dataclass(frozen=True, eq=False)
 class Ripple:
     """Ripple of one running condition: `waveforms` (revolutions, positions), offset removed.
 
-    `sampling` is that of the samples in the waveforms; `durations` (revolutions, positions) how
-    long the rotor takes for each cell, s, None where that is not known;
-    `steps` (m,) the amplitudes, N m, that the loop answers the encoder's steps with at orders 1..m.
+    `sampling` is that of the samples in the waveforms.
     """
 
     waveforms: Array
-    sampling: Sampling = NO_ATTENUATION
-    durations: Array | None = None
-    steps: Array | None = None
+    sampling: Sampling
 
     @property
     def angle(self) -> Array:
@@ -160,7 +152,18 @@ class Ripple:
         return Rms(repeatable, repeatable_u, scatter, scatter_u, others)
 
 
-def remove_offset(waveforms: Array, sampling: Sampling = NO_ATTENUATION) -> Ripple:
+@dataclass(frozen=True, eq=False)
+class LoopRipple(Ripple):
+    """Ripple that the position loop shows: `durations` (revolutions, positions) are how long the
+    rotor takes for each cell, s; `steps` (m,) the amplitudes, N m, that the loop answers the
+    encoder's steps with at orders 1..m.
+    """
+
+    durations: Array
+    steps: Array
+
+
+def remove_offset(waveforms: Array, sampling: Sampling) -> Ripple:
     """Subtract the mean of waveforms (revolutions, positions): friction and load, not ripple."""
     return Ripple(waveforms - waveforms.mean(), sampling)
 
@@ -270,9 +273,7 @@ def neighbours_floor(amplitude: Array) -> Array:
     return floor
 
 
-def coefficients(
-    waveforms: Array, orders: int, sampling: Sampling = NO_ATTENUATION, width: int = 1
-) -> ComplexArray:
+def coefficients(waveforms: Array, orders: int, sampling: Sampling, width: int = 1) -> ComplexArray:
     """Return amplitude*exp(i phase) of each order 1..`orders` and revolution.
 
     `waveforms` (revolutions, positions) are means over equal cells of the turn, or over as many

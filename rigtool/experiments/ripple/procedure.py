@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from itertools import zip_longest
 
 import numpy as np
@@ -24,9 +23,9 @@ from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.ripple.imported import analyse_imported
 from rigtool.experiments.ripple.orders import (
     HIGHEST_ORDER,
+    LoopRipple,
     Ripple,
     compare,
-    remove_offset,
 )
 from rigtool.experiments.ripple.procedure_steady import (
     Collected,
@@ -161,13 +160,10 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
         for recording, samples, welch in zip_longest(recorded, steady, welches)
     ]
     constants, per_amperes, heat_note = _constants(kt, recorded, found)
+    held = [own.waveforms * k for own, k in zip(found, per_amperes, strict=True)]
     ripples = [
-        replace(
-            remove_offset(own.waveforms * per_ampere, own.sampling),
-            durations=own.durations,
-            steps=own.steps,
-        )
-        for own, per_ampere in zip(found, per_amperes, strict=True)
+        LoopRipple(torque - torque.mean(), own.sampling, own.durations, own.steps)
+        for own, torque in zip(found, held, strict=True)
     ]
     by_speed, by_torque = ripples[: len(speeds)], ripples[len(speeds) :][: len(torques)]
     by_cycle = ripples[len(speeds) + len(torques) :]

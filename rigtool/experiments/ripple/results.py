@@ -12,10 +12,10 @@ from rigtool.control.position_loop import position_loop
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.ripple.orders import (
     HIGHEST_ORDER,
+    LoopRipple,
     Ripple,
     RippleComparison,
     Spectrum,
-    coefficients,
     scattered,
     spectrum,
 )
@@ -62,14 +62,14 @@ def loop_note(recipe: Recipe, fastest: float) -> str:
     )
 
 
-def varying_note(recordings: Sequence[Recording], ripples: Sequence[Ripple]) -> list[str]:
+def varying_note(recordings: Sequence[Recording], ripples: Sequence[LoopRipple]) -> list[str]:
     """Return a note where ripple varies the speed beyond `VARYING_LIMIT`, and one where it makes
     the rotor stand.
 
     Raises `InsufficientDataError` where it stands in all recordings.
     """
     named = {r.name: own for r, own in zip(recordings, ripples, strict=True)}
-    varying = {name: _variation(own) for name, own in named.items()}
+    varying = {name: speed_variation(own.durations) for name, own in named.items()}
     standing = [name for name, own in named.items() if _leaping(own) > STANDING_LIMIT]
     notes = []
     if standing:
@@ -95,14 +95,9 @@ def varying_note(recordings: Sequence[Recording], ripples: Sequence[Ripple]) -> 
     ]
 
 
-def _variation(ripple: Ripple) -> float:
-    """Return the relative standard deviation of the speed around the turn."""
-    return 0.0 if ripple.durations is None else speed_variation(ripple.durations)
-
-
-def _leaping(ripple: Ripple) -> float:
-    """Return the same with higher orders of the speed, which leaps have."""
-    return 0.0 if ripple.durations is None else speed_variation(ripple.durations, HIGHEST_ORDER)
+def _leaping(ripple: LoopRipple) -> float:
+    """Return the variation of the speed with higher orders, which leaps have."""
+    return speed_variation(ripple.durations, HIGHEST_ORDER)
 
 
 def steps_note(recordings: Sequence[Recording], recipe: Recipe) -> list[str]:
@@ -144,7 +139,9 @@ def _loop(recipe: Recipe, frequency: Array) -> ComplexArray:
     return position_loop(**recipe.rig.loop_design).complementary_sensitivity.response(frequency)
 
 
-def _spectrum(ripple: Ripple, recipe: Recipe, turns_per_s: float) -> tuple[Spectrum, Array, Array]:
+def _spectrum(
+    ripple: LoopRipple, recipe: Recipe, turns_per_s: float
+) -> tuple[Spectrum, Array, Array]:
     """Return the orders of the motor's torque, the degrees of freedom of their noise floor, and the
     u of their amplitudes by the motion. No order has a value where the rotor stands in places.
 
@@ -153,31 +150,24 @@ def _spectrum(ripple: Ripple, recipe: Recipe, turns_per_s: float) -> tuple[Spect
     """
     order = np.arange(1.0, HIGHEST_ORDER + 1)
     loop = _loop(recipe, order * turns_per_s)
-    unresolved = np.zeros(HIGHEST_ORDER)
-    if ripple.durations is None:
-        asked = coefficients(ripple.waveforms, HIGHEST_ORDER, ripple.sampling)
-        found = asked / loop
-    else:
-        # The torque of a sample is held until the next one: it acts half a sample later.
-        late = np.exp(-1j * np.pi * order * turns_per_s * recipe.rig.sample_time)
-        moved = ripple, ripple.durations, recipe.rig.nominal_inertia, late
-        asked, found = motor_orders(*moved)
-        unresolved = np.abs((motor_orders(*moved, width=2)[1] - found).mean(axis=0))
+    # The torque of a sample is held until the next one: it acts half a sample later.
+    late = np.exp(-1j * np.pi * order * turns_per_s * recipe.rig.sample_time)
+    moved = ripple, recipe.rig.nominal_inertia, late
+    asked, found = motor_orders(*moved)
+    unresolved = np.abs((motor_orders(*moved, width=2)[1] - found).mean(axis=0))
     own = scattered(found, ripple.sampling)
     # Both parts of a coefficient scatter.
     floor, dof = shared_floor(order, own.noise_floor, 2 * (len(found) - 1))
     gain = np.abs(loop)
-    if ripple.steps is not None:
-        plant = position_loop(**recipe.rig.loop_design).plant
-        alias = _followed_steps(recipe, turns_per_s) / np.abs(plant.response(order * turns_per_s))
-        total = np.hypot(floor, np.maximum(ripple.steps / gain, alias))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            dof = dof * (total / floor) ** 4  # Welch and Satterthwaite
-        floor = total
+    plant = position_loop(**recipe.rig.loop_design).plant
+    alias = _followed_steps(recipe, turns_per_s) / np.abs(plant.response(order * turns_per_s))
+    total = np.hypot(floor, np.maximum(ripple.steps / gain, alias))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        dof = dof * (total / floor) ** 4  # Welch and Satterthwaite
     followed = (gain >= LOWEST_FOLLOWED) & (_leaping(ripple) <= STANDING_LIMIT)
     known = np.where(followed, 1.0, np.nan)
     motor = replace(
-        own, amplitude=known * own.amplitude, phase=known * own.phase, noise_floor=known * floor
+        own, amplitude=known * own.amplitude, phase=known * own.phase, noise_floor=known * total
     )
     by_inertia = INERTIA_U * np.abs((asked - found).mean(axis=0))
     return motor, dof, np.hypot(by_inertia, unresolved)
@@ -235,7 +225,7 @@ def condition_tables(
     axis: str,
     unit: str,
     recordings: Sequence[Recording],
-    ripples: Sequence[Ripple],
+    ripples: Sequence[LoopRipple],
     constants: Mapping[str, Quantity],
     recipe: Recipe,
 ) -> dict[str, Table]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rigtool.experiments.ripple.orders import Ripple, coefficients
+from rigtool.experiments.ripple.orders import LoopRipple, coefficients
 from rigtool.numerics.arrays import Array, ComplexArray
 
 SPEED_ORDERS = 30
@@ -27,7 +27,7 @@ def speed_variation(durations: Array, orders: int = SPEED_ORDERS) -> float:
     """Return the relative standard deviation of the speed around the turn, by its orders up to
     `orders`.
 
-    `durations` (revolutions, cells) as in `orders.Ripple`.
+    `durations` (revolutions, cells) as in `orders.LoopRipple`.
     """
     mean = durations.mean(axis=0)
     found = np.fft.rfft(mean / mean.mean())[1 : orders + 1] * (2 / mean.size)
@@ -38,7 +38,7 @@ def fastest(durations: Array) -> float:
     """Return the highest speed around the turn over its mean, at most `LEAP`, by its orders up to
     `SPEED_ORDERS`.
 
-    `durations` (revolutions, cells) as in `orders.Ripple`.
+    `durations` (revolutions, cells) as in `orders.LoopRipple`.
     """
     mean = durations.mean(axis=0)
     slow = np.fft.rfft(mean / mean.mean())
@@ -47,17 +47,17 @@ def fastest(durations: Array) -> float:
 
 
 def motor_orders(
-    ripple: Ripple, durations: Array, inertia: float, late: ComplexArray, width: int = 1
+    ripple: LoopRipple, inertia: float, late: ComplexArray, width: int = 1
 ) -> tuple[ComplexArray, ComplexArray]:
     """Return orders 1..m of the torque that the loop asks for, and of the motor's ripple, N m, in
     each revolution, both (revolutions, m).
 
-    `durations` (revolutions, cells) as in `orders.Ripple`; `late` (m,) turns an order of what is
-    recorded to when it acts. With a `width`, torque and speed are means over that many cells: where
-    that changes the orders, cells do not resolve the motion. The energy of a single revolution is
-    linear about that of the mean durations, which is then their mean: squares of what noise does to
-    single ones would lean high.
+    `late` (m,) turns an order of what is recorded to when it acts. With a `width`, torque and speed
+    are means over that many cells: where that changes the orders, cells do not resolve the motion.
+    The energy of a single revolution is linear about that of the mean durations, which is then
+    their mean: squares of what noise does to single ones would lean high.
     """
+    durations = ripple.durations
     cells, orders = durations.shape[1], late.size
     taken = _stretches(durations, width)
     asked = coefficients(

@@ -21,7 +21,7 @@ from rigtool.experiments.ripple.imported import (
 )
 from rigtool.experiments.ripple.imported_groups import RepeatedRuns
 from rigtool.experiments.ripple.imported_turns import reduction
-from rigtool.experiments.ripple.orders import NO_ATTENUATION, remove_offset, spectrum
+from rigtool.experiments.ripple.orders import remove_offset, spectrum
 from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
@@ -29,6 +29,7 @@ from rigtool.recipe.mapping import load_mapping, parse_mapping
 from rigtool.runfile import open_run
 from rigtool.runfile.importers import import_files
 from tests.experiments.imported_runs import COUNTS, SLOW, crossed, slow_turn, take
+from tests.experiments.ripple.fine import FINE
 from tests.unchanged import require_unchanged
 
 ROOT = Path(__file__).parents[3]
@@ -299,11 +300,11 @@ def group(speed, setpoint=None, turns=3, leak=(), **conditions):
     leaks = np.zeros(20)
     leaks[list(leak)] = 0.9
     own = RepeatedRuns(
-        conditions, speed, 1, 3.0 + wave, 0.1 * wave, 20, float(turns), NO_ATTENUATION,
+        conditions, speed, 1, 3.0 + wave, 0.1 * wave, 20, float(turns), FINE,
         np.arange(20.0) + 40, leaks, moved=not leak, setpoint=setpoint,
     )  # fmt: skip
     for name, rows in (("torque", own.torque), ("deviation", own.deviation)):
-        own.spectra[name] = spectrum(remove_offset(rows, NO_ATTENUATION), 20)
+        own.spectra[name] = spectrum(remove_offset(rows, FINE), 20)
     return own
 
 

@@ -11,13 +11,13 @@ from rigtool.experiments.ripple.imported_groups import RepeatedRuns, cells_for, 
 from rigtool.experiments.ripple.imported_turns import Turns
 from rigtool.experiments.ripple.orders import (
     HIGHEST_ORDER,
-    NO_ATTENUATION,
     WAVEFORM_CELLS,
     Ripple,
     Spectrum,
     spectrum,
 )
 from rigtool.quantity import Quantity, combined, error_line
+from tests.experiments.ripple.fine import FINE
 
 
 def recording(setpoint=None, **conditions):
@@ -87,12 +87,10 @@ def test_a_speed_that_was_asked_for_is_that_of_most_samples(asked, expected):
 
 def repeated(torque, leak=None):
     orders = 20
-    rows = Ripple(torque, NO_ATTENUATION)
+    rows = Ripple(torque, FINE)
     leak = np.zeros(orders) if leak is None else leak
     none = np.full(orders, np.nan)
-    group = RepeatedRuns(
-        {}, 3.0, 1, torque, torque, orders, len(torque), NO_ATTENUATION, none, leak
-    )
+    group = RepeatedRuns({}, 3.0, 1, torque, torque, orders, len(torque), FINE, none, leak)
     group.spectra["torque"] = spectrum(rows, orders)
     return group
 

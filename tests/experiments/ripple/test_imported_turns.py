@@ -16,17 +16,17 @@ from rigtool.experiments.ripple.imported_turns import (
     refined_speed,
 )
 from rigtool.experiments.ripple.orders import (
-    NO_ATTENUATION,
     Ripple,
     Sampling,
     Spectrum,
     spectrum,
 )
+from tests.experiments.ripple.fine import FINE
 
 POSITIONS = 500
 
 
-def orders_of(waveforms, orders, sampling=NO_ATTENUATION):
+def orders_of(waveforms, orders, sampling=FINE):
     return spectrum(Ripple(waveforms, sampling), orders)
 
 

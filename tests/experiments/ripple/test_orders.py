@@ -26,6 +26,7 @@ from rigtool.experiments.ripple.orders import (
 from rigtool.experiments.ripple.revolutions import Revolutions
 from rigtool.numerics.jackknife import jackknife
 from rigtool.numerics.welch import Welch
+from tests.experiments.ripple.fine import FINE
 
 COUNTS = 4000
 ORDERS = {1: (0.4e-3, 0.7), 2: (0.9e-3, -2.0), 7: (0.1e-3, 3.0)}
@@ -138,7 +139,7 @@ def test_a_ripple_in_few_samples_is_the_same_ripple():
 @pytest.mark.parametrize("rev_per_s", [0.2, 1.7, 4.8, -0.6, -4.8])
 def test_orders_are_found_at_any_speed_and_in_both_directions(rev_per_s):
     waveforms = lay_over(*turning(rev_per_s, wobble=0.02), 20, 500)
-    found = spectrum(remove_offset(waveforms), 50)
+    found = spectrum(remove_offset(waveforms, FINE), 50)
     for order, (amplitude, phase) in ORDERS.items():
         # The encoder's count is 1.6 mrad, seven times that at order 7; a sample at 4.8 rev/s is
         # 1 % of a period of order 7.
@@ -151,7 +152,7 @@ def test_orders_are_found_at_any_speed_and_in_both_directions(rev_per_s):
 
 
 def test_waveform_is_the_ripple_at_its_positions():
-    found = remove_offset(lay_over(*turning(0.5), 10, 400))
+    found = remove_offset(lay_over(*turning(0.5), 10, 400), FINE)
     expected = ripple_at(found.angle / (2 * np.pi))
     np.testing.assert_allclose(found.mean, expected, rtol=0, atol=1.2e-5)
     assert found.waveforms.shape == (10, 400)
@@ -162,7 +163,7 @@ def test_what_repeats_and_what_does_not():
     """White noise averaged over a cell of c samples keeps 1/sqrt(c) of it."""
     noise, rev_per_s, positions = 2e-3, 0.2, 100
     waveforms = lay_over(*turning(rev_per_s, noise=noise), 20, positions)
-    rms = remove_offset(waveforms).rms()
+    rms = remove_offset(waveforms, FINE).rms()
     samples = 2000 / rev_per_s / positions
     assert rms.non_repeatable == pytest.approx(noise / np.sqrt(samples), rel=0.1, abs=0)
     power = sum(a**2 / 2 for a, _ in ORDERS.values())
@@ -176,7 +177,7 @@ def test_what_repeats_and_what_does_not():
 
 def test_noise_alone_has_no_repeatable_part_and_no_strongest_order():
     waveforms = np.random.default_rng(1).normal(size=(20, 256))
-    noise = remove_offset(waveforms)
+    noise = remove_offset(waveforms, FINE)
     assert noise.rms().repeatable < 0.1
     found = spectrum(noise, 40)
     # Amplitude of an average of 20 revolutions of 256 samples: 2/sqrt(20*256), rms
@@ -184,7 +185,7 @@ def test_noise_alone_has_no_repeatable_part_and_no_strongest_order():
     assert np.sqrt(np.mean(found.noise_floor**2)) == pytest.approx(expected, rel=0.1, abs=0)
     assert np.sqrt(np.mean(found.amplitude**2)) == pytest.approx(expected, rel=0.25, abs=0)
     with pytest.raises(InsufficientDataError, match="no order exceeds its noise floor"):
-        spectrum(remove_offset(waveforms[:3]), 4).strongest()
+        spectrum(remove_offset(waveforms[:3], FINE), 4).strongest()
 
 
 def test_the_strongest_order_is_one_that_noise_does_not_explain():
@@ -200,9 +201,9 @@ def test_the_strongest_order_is_one_that_noise_does_not_explain():
 
 def test_two_revolutions_do_not_show_the_scatter_of_their_scatter():
     waveforms = np.random.default_rng(1).normal(size=(2, 64))
-    assert remove_offset(waveforms).rms().non_repeatable_u is None
+    assert remove_offset(waveforms, FINE).rms().non_repeatable_u is None
     with pytest.raises(InsufficientDataError, match="1 revolution"):
-        Ripple(waveforms[:1]).rms()
+        Ripple(waveforms[:1], FINE).rms()
 
 
 @settings(max_examples=50, deadline=None)
@@ -212,7 +213,7 @@ def test_a_turned_and_scaled_ripple_is_recognised(shift, scale, seed):
     orders = {k: (rng.uniform(0.5, 1), rng.uniform(-3, 3)) for k in (1, 2, 3)}
     turns = (np.arange(360) + 0.5) / 360
     reference, other = (
-        Ripple(np.stack([wave, wave]))
+        Ripple(np.stack([wave, wave]), FINE)
         for wave in (
             ripple_at(turns, orders),
             scale * ripple_at(turns - shift / (2 * np.pi), orders),
@@ -233,7 +234,7 @@ def test_uncertainty_of_a_comparison_is_its_scatter():
     turns = (np.arange(200) + 0.5) / 200
 
     def noisy(shift):
-        return Ripple(ripple_at(turns - shift) + rng.normal(0, 1e-3, (20, 200)))
+        return Ripple(ripple_at(turns - shift) + rng.normal(0, 1e-3, (20, 200)), FINE)
 
     found = [compare(noisy(0), noisy(0.1), 50) for _ in range(60)]
     for name, u in (("shift", "shift_u"), ("correlation", "correlation_u")):
@@ -246,8 +247,8 @@ def test_uncertainty_of_a_comparison_is_its_scatter():
 
 def test_a_shift_that_scatters_widely_has_the_jackknife_written_out():
     angle, spread = cell_centres(500), 0.72
-    reference = Ripple(np.tile(1e-3 * np.cos(angle), (3, 1)))
-    other = Ripple(1e-3 * np.cos(angle - 3.0 - np.array([[-spread], [0.0], [spread]])))
+    reference = Ripple(np.tile(1e-3 * np.cos(angle), (3, 1)), FINE)
+    other = Ripple(1e-3 * np.cos(angle - 3.0 - np.array([[-spread], [0.0], [spread]])), FINE)
     found = compare(reference, other, 4)
     # two of them together are shifted by their mean: by half the spread, one way or the other, or 0
     assert abs(found.shift) == pytest.approx(3.0, rel=0, abs=0.01)
@@ -256,12 +257,12 @@ def test_a_shift_that_scatters_widely_has_the_jackknife_written_out():
 
 def test_noise_cannot_be_compared():
     turns = (np.arange(200) + 0.5) / 200
-    ripple = Ripple(np.stack([ripple_at(turns)] * 3))
+    ripple = Ripple(np.stack([ripple_at(turns)] * 3), FINE)
     for nothing in (np.zeros((3, 200)), np.random.default_rng(6).normal(size=(3, 200))):
         with pytest.raises(InsufficientDataError, match="other ripple is all noise"):
-            compare(ripple, Ripple(nothing), 4)
+            compare(ripple, Ripple(nothing, FINE), 4)
         with pytest.raises(InsufficientDataError, match="reference ripple is all noise"):
-            compare(Ripple(nothing), ripple, 4)
+            compare(Ripple(nothing, FINE), ripple, 4)
 
 
 def test_psd_has_the_power_of_the_signal():
@@ -293,7 +294,7 @@ def test_bad_recordings_are_refused(spoil, message):
 
 def test_orders_beyond_the_positions_are_refused():
     with pytest.raises(ValueError, match="1 to 24"):
-        spectrum(Ripple(np.zeros((2, 50))), 25)
+        spectrum(Ripple(np.zeros((2, 50)), FINE), 25)
 
 
 def test_rms_is_that_of_the_jackknife_over_revolutions():
@@ -307,7 +308,7 @@ def test_rms_is_that_of_the_jackknife_over_revolutions():
         noise = used.var(axis=0, ddof=1).mean() / len(used)
         return np.sqrt(np.mean(used.mean(axis=0) ** 2) - noise)
 
-    found = Ripple(waveforms).rms()
+    found = Ripple(waveforms, FINE).rms()
     value, u = jackknife(9, repeatable)
     assert found.repeatable == pytest.approx(value, rel=1e-12, abs=0)
     assert found.repeatable_u == pytest.approx(u, rel=1e-9, abs=0)
@@ -316,7 +317,7 @@ def test_rms_is_that_of_the_jackknife_over_revolutions():
     assert found.non_repeatable == pytest.approx(np.sqrt(powers.mean()), rel=1e-9)
     expected = sem(powers) / (2 * found.non_repeatable)
     assert found.non_repeatable_u == pytest.approx(expected, rel=1e-9)
-    assert Ripple(np.ones((5, 8))).rms().non_repeatable == 0
+    assert Ripple(np.ones((5, 8)), FINE).rms().non_repeatable == 0
 
 
 def in_blocks(arrays, sizes):

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rigtool.experiments.ripple.orders import NO_ATTENUATION, Ripple, Sampling
+from rigtool.experiments.ripple.orders import LoopRipple, Sampling
 from rigtool.experiments.ripple.varying_speed import (
     LEAP,
     fastest,
     motor_orders,
     speed_variation,
 )
+from tests.experiments.ripple.fine import FINE
 
 CELLS, POINTS, ORDERS, INERTIA = 500, 200_000, 60, 2e-5
 EDGES = np.linspace(0.0, 2 * np.pi, CELLS + 1)
@@ -23,10 +24,10 @@ def durations(speed):
     return np.diff(np.interp(EDGES, ANGLE, passed))[None]
 
 
-def accelerating(durations, sampling=NO_ATTENUATION, width=1):
+def accelerating(durations, sampling=FINE, width=1):
     """Return the orders that accelerate the inertia: without torque, those of the ripple less."""
-    still = Ripple(np.zeros_like(durations), sampling)
-    asked, found = motor_orders(still, durations, INERTIA, np.ones(ORDERS, complex), width)
+    still = LoopRipple(np.zeros_like(durations), sampling, durations, np.zeros(ORDERS))
+    asked, found = motor_orders(still, INERTIA, np.ones(ORDERS, complex), width)
     assert not asked.any()
     return -found
 
@@ -70,8 +71,9 @@ def test_torque_counts_by_the_time_that_it_acts_and_turns_to_when_it_does():
     turned = np.exp(-0.1j * np.arange(1, ORDERS + 1))
     taken = np.tile([1e-3, 3e-3], (2, CELLS // 2))
     for width in (1, 2):
-        own = Ripple(np.tile(wave * np.sinc(3 / CELLS), (2, 1)))
-        asked, _ = motor_orders(own, taken, INERTIA, turned, width)
+        torque = np.tile(wave * np.sinc(3 / CELLS), (2, 1))
+        own = LoopRipple(torque, FINE, taken, np.zeros(ORDERS))
+        asked, _ = motor_orders(own, INERTIA, turned, width)
         assert_allclose(asked[:, 2], np.exp(-0.3j), rtol=2e-3)
         assert np.abs(np.delete(asked, 2, axis=1)).max() < 1e-3
 

@@ -11,7 +11,8 @@ from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.learning.check import imported
 from rigtool.experiments.learning.learned_table import LearnedTable
-from rigtool.experiments.ripple.orders import NO_ATTENUATION, WAVEFORM_CELLS
+from rigtool.experiments.ripple.orders import WAVEFORM_CELLS
+from tests.experiments.ripple.fine import FINE
 
 SPEEDS = np.array([-6.0, 2.0, 6.0])
 MAP = {3: 0.5 * np.exp(0.4j), 7: 1.0 * np.exp(-1.2j), 12: 0.3j}
@@ -46,7 +47,7 @@ def turned(orders, turns=6, speed=6.1, noise=1e-3, seed=1, mean=0.25):
     torque = torque + noise * rng.standard_normal((turns, WAVEFORM_CELLS))
     torque += 0.01 * rng.standard_normal((turns, 1))
     group = SimpleNamespace(
-        speed=speed, sampling=NO_ATTENUATION, turns=turns, runs=2, label=lambda: "6.1 rad/s"
+        speed=speed, sampling=FINE, turns=turns, runs=2, label=lambda: "6.1 rad/s"
     )
     return imported._compare(group, torque, learned(), 40), group, torque.mean(axis=1)
 
@@ -106,9 +107,7 @@ def test_what_all_turns_left_out_is_bridged_by_what_is_left_of_the_map():
     """Where the map is all that turns, the bridges are the map itself."""
     torque = np.tile(wave(MAP, CELLS, 1 / WAVEFORM_CELLS), (3, 1))
     torque[:, 40:60] = np.nan
-    group = SimpleNamespace(
-        speed=6.0, sampling=NO_ATTENUATION, turns=3, runs=1, label=lambda: "6 rad/s"
-    )
+    group = SimpleNamespace(speed=6.0, sampling=FINE, turns=3, runs=1, label=lambda: "6 rad/s")
     found = imported._compare(group, torque, learned(), 40)
     np.testing.assert_allclose(found.left.amplitude, 0, atol=1e-9)
     np.testing.assert_allclose(found.shown.amplitude[[2, 6, 11]], [0.5, 1.0, 0.3], atol=1e-9)
