@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,6 +138,22 @@ class Moments:
         )
 
 
+class Judged(NamedTuple):
+    """The state at each step; the kind of error, which is the state or `CREEPING_KIND`; whether
+    friction may hold what does not show, `holding`; and where it holds the rotor, which stands
+    still or creeps after a reversal, `held`. All (m,).
+
+    `holding` is 1 where the motor has had no current, 2 where the rotor crawls besides, one count
+    at most within `SPEED_TIME`; 3 where the rotor of a driven motor has been in its count for
+    `UNSEEN_TIME`; else 0.
+    """
+
+    states: States
+    kinds: States
+    holding: Holding
+    held: Mask
+
+
 @dataclass(frozen=True)
 class Judge:
     """Assigns states; `count` rad is the encoder's, `step_time` s that of a step.
@@ -160,44 +177,26 @@ class Judge:
         """Steps in `UNSEEN_TIME`."""
         return max(1, round(UNSEEN_TIME / self.step_time))
 
-    def states(self, moments: Moments) -> States:
-        """Return the state at each step, (m,)."""
+    def judged(self, moments: Moments) -> Judged:
+        """Return state, kind and what friction holds at each step."""
         low = moments.low
+        mean_speed = self._mean_speed(low)
+        slow = np.abs(mean_speed) < self.reach.slow
         way = self._highest(low, STILL_TIME) + self._highest(-low, STILL_TIME)
         direction = np.sign(moments.speed)
         found = np.where(moments.torque * direction >= 0, State.AGAINST, State.WITH)
         found[moments.housing * direction < SLIDING_DEFLECTION] = State.REVERSED
         found[way < 1.5 * self.count] = State.STILL
-        outside = self.reach.left_by(
-            low, self._mean_speed(low), moments.torque, moments.temperature_degc
-        )
+        outside = self.reach.left_by(low, mean_speed, moments.torque, moments.temperature_degc)
         near = self._highest(moments.limited, LIMIT_TIME * (1 if self.causal else 2)) > 0
         found[outside | near] = State.OUTSIDE
         states: States = found.astype(np.int32)
-        return states
-
-    def kinds(self, states: States, moments: Moments) -> States:
-        """Return the kind of error at each step: the state, or `CREEPING_KIND`, (m,)."""
         sliding = (states == State.AGAINST) | (states == State.WITH)
-        slow = np.abs(self._mean_speed(moments.low)) < self.reach.slow
-        found: States = np.where(sliding & slow, CREEPING_KIND, states).astype(np.int32)
-        return found
-
-    def held(self, states: States, moments: Moments) -> Mask:
-        """Return where friction holds the rotor, which stands still or creeps after a reversal,
-        (m,)."""
-        slow = np.abs(self._mean_speed(moments.low)) < self.reach.slow
-        found: Mask = (states == State.STILL) | ((states == State.REVERSED) & slow)
-        return found
-
-    def holding(self, moments: Moments) -> Holding:
-        """Return whether friction may hold what does not show, (m,): 1 where the motor has had no
-        current, 2 where the rotor crawls besides, one count at most within `SPEED_TIME`; 3 where
-        the rotor of a driven motor has been in its count for `UNSEEN_TIME`; else 0."""
-        found = np.where(moments.idle, 1, np.where(self._rests(moments.low), 3, 0)).astype(np.int8)
-        if found.any():
-            found[moments.idle & (np.abs(self._mean_speed(moments.low)) < self.crawling)] = 2
-        return found
+        kinds: States = np.where(sliding & slow, CREEPING_KIND, states).astype(np.int32)
+        holding = np.where(moments.idle, 1, np.where(self._rests(low), 3, 0)).astype(np.int8)
+        holding[moments.idle & (np.abs(mean_speed) < self.crawling)] = 2
+        held = (states == State.STILL) | ((states == State.REVERSED) & slow)
+        return Judged(states, kinds, holding, held)
 
     def _rests(self, low: Array) -> Mask:
         """Return where the count has been the same for `UNSEEN_TIME`, and will be if it is not

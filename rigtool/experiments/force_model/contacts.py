@@ -112,7 +112,7 @@ def trial(
     """Return the tests of a stretch from torque and deviation of the filter without contacts, N m;
     (m,).
 
-    `kinds` are those of `Judge.kinds`; `doubt` N m is the standard deviation of the ripple that was
+    `kinds` are `Judged.kinds`; `doubt` N m is the standard deviation of the ripple that was
     subtracted from the torque.
     """
     kept = math.exp(-step_time / JUMP_LAG)

@@ -3,7 +3,7 @@
     u^2 = (c s)^2 + (g M)^2 + r^2,   s the filter's deviation, M the torque on the output
 
 r is the deviation of another power-up's ripple: no error under known loads has a part of it.
-c and g of each kind of motion (`Judge.kinds`) are those whose 95 % intervals, half as wide as
+c and g of each kind of motion (`Judged.kinds`) are those whose 95 % intervals, half as wide as
 h = 1.96 u, have the least score under known loads with errors e (T. Gneiting, A. E. Raftery, J. Am.
 Stat. Assoc. 102(477) 359-378, 2007, section 6.2), in units of s:
 

@@ -223,7 +223,7 @@ def _trial(
     moving, zeros = (causal.states[:, SPEED], causal.states[:, HOUSING]), np.zeros(len(causal.low))
     judge = Judge(replace(UNLIMITED_REACH, slow=slow), under.count, grid.step_time, causal=True)
     moments = Moments(causal.low, *moving, causal.passed, zeros, zeros, causal.idle)
-    kinds = judge.kinds(judge.states(moments), moments)
+    kinds = judge.judged(moments).kinds
     return trial(untouched.torque, untouched.deviation, kinds, grid.step_time)
 
 
@@ -243,7 +243,7 @@ def _errors(
     moving, zeros = (causal.states[:, SPEED], causal.states[:, HOUSING]), np.zeros(len(torque))
     judge = Judge(replace(UNLIMITED_REACH, slow=slow), under.count, grid.step_time)
     moments = Moments(causal.low, *moving, torque, zeros, zeros, causal.idle)
-    kinds = judge.kinds(judge.states(moments), moments)
+    kinds = judge.judged(moments).kinds
     record = _whole(own, under)
     output = Swing.of(model.learned.shape, model.learned.known, record).output
     speed = np.gradient(output, record.interval)

@@ -22,6 +22,7 @@ from rigtool.experiments.force_filter.motion_states import (
     KIND_COUNT,
     Holding,
     Judge,
+    Judged,
     Moments,
     Reach,
     State,
@@ -64,7 +65,7 @@ class SensorProperties:
 
     @cached_property
     def open_variances(self) -> Array:
-        """Variance of the torque that friction leaves open, N2 m2, (4, kinds), by `Judge.holding`
+        """Variance of the torque that friction leaves open, N2 m2, (4, kinds), by `Judged.holding`
         and the kind of motion: that of a rectangle.
 
         Without a current, it is as wide as friction where the rotor rests, which may hold either
@@ -144,7 +145,7 @@ class Sensed:
     `signals` are what the filter took, for another one; `less` (m,) N m is what that ripple takes
     off the drive torque, `doubt` (m,) N m its standard deviation on the output, and `unfollowed`
     (m,) N2 m2 the variance of what is not followed if the power-up is another one; `kinds` (m,) are
-    those of errors, `Judge.kinds`; `unbent` (m,) is what bristles lack of being bent where the
+    those of errors, `Judged.kinds`; `unbent` (m,) is what bristles lack of being bent where the
     rotor creeps; `swing` (m,) N2 m2 is how far the torque swings.
     """
 
@@ -243,20 +244,13 @@ class Sensor:
         """Standard deviation of the torque after the last step, before the low-pass, N m."""
         return self._filter.last_deviation
 
-    def _states(self, moments: Moments) -> tuple[States, States, Holding, Mask]:
-        """Return states and kinds of these steps, that follow from the steps before them, too,
-        `Judge.holding` and `Judge.held`."""
+    def _states(self, moments: Moments) -> Judged:
+        """Return what is judged of these steps, that follows from the steps before them, too."""
         before = self._before
         whole = moments if before is None else Moments.joined(before, moments)
         self._before = whole.part(-self._judge.span)
         if not len(moments.low):
             none = np.empty(0, dtype=np.int32)
-            return none, none, none.astype(np.int8), none.astype(np.bool_)
-        judge, first = self._judge, len(whole.low) - len(moments.low)
-        states = judge.states(whole)
-        kinds, holding, held = (
-            judge.kinds(states, whole),
-            judge.holding(whole),
-            judge.held(states, whole),
-        )
-        return states[first:], kinds[first:], holding[first:], held[first:]
+            return Judged(none, none, none.astype(np.int8), none.astype(np.bool_))
+        first = len(whole.low) - len(moments.low)
+        return Judged._make(values[first:] for values in self._judge.judged(whole))

@@ -182,13 +182,10 @@ class Stretch:
         part = waiting.part(0, end + judge.span)
         own = part.torque.copy()
         own[first:end] = torque
-        states = judge.states(replace(part, torque=own))
         self._keep("torque", torque)
         self._keep("u", deviation)
-        self._keep("states", states[first:end])
-        self._keep("kinds", judge.kinds(states, part)[first:end])
-        self._keep("holding", judge.holding(part)[first:end])
-        self._keep("held", judge.held(states, part)[first:end])
+        for name, values in judge.judged(replace(part, torque=own))._asdict().items():
+            self._keep(name, values[first:end])
         self._in_front = min(end, judge.span)
         self._waiting = [waiting.part(end - self._in_front)]
 

@@ -27,12 +27,12 @@ def moments(torque=0.01, scale=1.0):
     housing = np.where(time < 1, 1.0, 2 * np.exp(-path / 0.01) - 1)
     housing[time >= 1] = np.maximum(housing, -1)[time >= 1]
     same = np.ones(3000)
-    return Moments(low, speed, housing, torque * same, 30.0 * same, 0.0 * same, 0.0 * same)
+    return Moments(low, speed, housing, torque * same, 30.0 * same, 0.0 * same, same == 0)
 
 
 @pytest.mark.parametrize(("causal", "late"), [(False, 0), (True, 50)])
 def test_states_of_a_motion_that_turns_and_stops(causal, late):
-    found = Judge(REACH, COUNT, STEP, causal).states(moments())
+    found = Judge(REACH, COUNT, STEP, causal).judged(moments()).states
     assert set(found[100:900]) == {State.AGAINST}
     assert set(found[1000:1015]) == {State.REVERSED}
     assert set(found[1100:1900]) == {State.WITH}
@@ -41,14 +41,16 @@ def test_states_of_a_motion_that_turns_and_stops(causal, late):
 
 def test_causal_states_do_not_know_what_comes():
     whole, judge = moments(), Judge(REACH, COUNT, STEP, causal=True)
-    np.testing.assert_array_equal(judge.states(whole.part(0, 1500)), judge.states(whole)[:1500])
+    np.testing.assert_array_equal(
+        judge.judged(whole.part(0, 1500)).states, judge.judged(whole).states[:1500]
+    )
 
 
 @pytest.mark.parametrize(("causal", "first"), [(False, 900), (True, 1000)])
 def test_there_is_no_value_about_a_current_at_its_limit(causal, first):
     whole = moments()
     whole.limited[1000:1010] = 1.0
-    outside = Judge(REACH, COUNT, STEP, causal).states(whole) == State.OUTSIDE
+    outside = Judge(REACH, COUNT, STEP, causal).judged(whole).states == State.OUTSIDE
     assert np.flatnonzero(outside)[[0, -1]].tolist() == [first, 1109]
 
 
@@ -57,14 +59,16 @@ def test_the_span_holds_all_that_a_state_depends_on(middle):
     whole, judge = moments(), Judge(REACH, COUNT, STEP)
     whole.limited[1000:1010] = 1.0
     around = whole.part(middle - judge.span, middle + judge.span + 1)
-    assert judge.states(around)[judge.span] == judge.states(whole)[middle]
+    assert judge.judged(around).states[judge.span] == judge.judged(whole).states[middle]
 
 
 @pytest.mark.parametrize("causal", [False, True])
 def test_the_speed_that_leaves_what_was_learned_is_a_mean(causal):
     for scale, beyond in ((10.5, False), (11.5, True)):
         whole = moments(scale=scale)
-        found = Judge(Reach((-99.0, 99.0), *REACH_BUT_ANGLE), COUNT, STEP, causal).states(whole)
+        found = (
+            Judge(Reach((-99.0, 99.0), *REACH_BUT_ANGLE), COUNT, STEP, causal).judged(whole).states
+        )
         assert bool(found[500] == State.OUTSIDE) == beyond
 
 

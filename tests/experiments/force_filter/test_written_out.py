@@ -97,17 +97,17 @@ def test_states_kinds_and_holding_are_those_of_the_text(seed, causal):
         before, behind = max(0, k - 25), k + 1 if causal else k + 25
         rests = k >= 24 and np.ptp(own.low[before:behind]) == 0  # 0.25 s
         holding.append((2 if crawls else 1) if own.idle[k] else 3 * rests)
-    found = judge.states(own)
-    assert found.tolist() == states
-    assert judge.kinds(found, own).tolist() == kinds
-    assert judge.holding(own).tolist() == holding
+    found = judge.judged(own)
+    assert found.states.tolist() == states
+    assert found.kinds.tolist() == kinds
+    assert found.holding.tolist() == holding
 
 
 def test_the_draws_hold_all_states():
     judge = Judge(REACH, COUNT, STEP)
-    every = [judge.kinds(judge.states(own), own) for own in map(wandering, range(6))]
+    every = [judge.judged(own).kinds for own in map(wandering, range(6))]
     assert set(np.concatenate(every)) == {0, 1, 2, 3, 4, 5}
-    holding = [judge.holding(own) for own in map(wandering, range(6))]
+    holding = [judge.judged(own).holding for own in map(wandering, range(6))]
     assert {*np.concatenate(holding)} == {0, 1, 2, 3}
 
 
