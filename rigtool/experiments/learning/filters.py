@@ -189,13 +189,13 @@ class Learning:
 class Convergence:
     """|Q (1 - p L T)| (n,) over frequency (n,), Hz; its largest value and where that is.
 
-    `bound` (n,) is its largest value for any plant that the measured response allows; None where
+    `bound` (n,) is its largest value for any plant that the measured response allows; NaN where
     the plant was not measured.
     """
 
     frequency: Array
     magnitude: Array
-    bound: Array | None = None
+    bound: Array
 
     @property
     def peak(self) -> float:
@@ -210,12 +210,12 @@ class Convergence:
     @property
     def bound_peak(self) -> float:
         """Largest value of the bound; NaN where there is none."""
-        return float("nan") if self.bound is None else float(self.bound.max())
+        return float(self.bound.max())
 
     @property
     def bound_frequency(self) -> float:
-        """Frequency of the bound's largest value, Hz; NaN where there is none."""
-        return float("nan") if self.bound is None else float(self.frequency[np.argmax(self.bound)])
+        """Frequency of the bound's largest value, Hz."""
+        return float(self.frequency[np.argmax(self.bound)])
 
     def require(self) -> None:
         """Raise `InsufficientDataError` unless the criterion is below one everywhere (eq. 12)."""
@@ -226,7 +226,7 @@ class Convergence:
                 "ilc_learn.robustness_hz or ilc_learn.learning_factor, or raise "
                 "ilc_learn.cancel_radius towards 1"
             )
-        if self.bound is not None and not self.bound_peak < 1:
+        if self.bound_peak >= 1:
             raise InsufficientDataError(
                 f"learning may not converge: over the uncertainty of the measured plant "
                 f"|Q (1 - p L T)| reaches {self.bound_peak:.3g} at {self.bound_frequency:.4g} Hz "
@@ -240,7 +240,7 @@ def convergence(learning: Learning, frequency: Array) -> Convergence:
     """Return the criterion of thesis eq. 12, section 7.2.4.2, at these frequencies (n,), Hz."""
     inverse, robustness = learning.inverse.response(frequency), learning.robustness(frequency)
     left = np.abs(1 - learning.factor * inverse * learning.loop_response(frequency))
-    bound = None
+    bound = np.full(len(left), np.nan)
     if learning.measured is not None:
         doubt = learning.measured.doubt(frequency)
         bound = robustness * (left + learning.factor * _product(np.abs(inverse), doubt))

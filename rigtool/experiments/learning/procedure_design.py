@@ -41,13 +41,13 @@ class FilterDesign:
 
     def results(self) -> dict[str, Quantity]:
         """Return the results that describe the filters."""
-        criterion = self.criterion
-        why = COMPUTED_BOUND if criterion.bound is None else STATED_BOUND
+        criterion, measured = self.criterion, self.learning.measured is not None
+        why = STATED_BOUND if measured else COMPUTED_BOUND
         results = {
             "convergence_peak": Quantity(criterion.peak, "1", reason=why),
             "convergence_frequency": Quantity(criterion.peak_frequency, "Hz", reason=why),
         }
-        if criterion.bound is not None:
+        if measured:
             results |= {
                 "convergence_bound": Quantity(criterion.bound_peak, "1", reason=IS_BOUND),
                 "convergence_bound_frequency": Quantity(
@@ -67,11 +67,10 @@ class FilterDesign:
         loop = self.learning.loop_response(frequency)
         inverse = self.learning.inverse.response(frequency, shifted=False)
         shifted = self.learning.inverse.response(frequency)
-        bound = self.criterion.bound
         criterion = {
             "magnitude": Column(self.criterion.magnitude, "1", "must be below one"),
             "bound": Column(
-                np.full(len(frequency), np.nan) if bound is None else bound,
+                self.criterion.bound,
                 "1",
                 "largest value over the plant's uncertainty; must be below one, not known (NaN) "
                 "without a measured plant",

@@ -135,15 +135,17 @@ def fit_amplitudes(low: Sequence[Row], learned: Sequence[Row]) -> Amplitudes:
     )
 
 
-def assemble(position: Array, rows: Sequence[Row], amplitudes: Amplitudes) -> LookupTable:
-    """Put rows of all speeds, at positions (n,), and the amplitude table together."""
-    ordered = sorted(rows, key=lambda row: row.speed)
+def assemble(
+    position: Array, rows: Sequence[Row], amplitudes: Amplitudes, period: float | None = None
+) -> LookupTable:
+    """Put rows of rising speed, at positions (n,), and the amplitude table together."""
     return LookupTable(
         position=position,
-        speed=np.array([row.speed for row in ordered]),
-        torque=np.stack([row.mean for row in ordered]),
+        speed=np.array([row.speed for row in rows]),
+        torque=np.stack([row.mean for row in rows]),
         low_speed=amplitudes.speed,
         amplitude=amplitudes.amplitude,
+        period=period,
     )
 
 

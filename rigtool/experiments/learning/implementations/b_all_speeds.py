@@ -19,7 +19,7 @@ from rigtool.experiments.learning.implementations import bare_motor
 from rigtool.experiments.learning.implementations.bare_motor import BareMotor, Turned, learned_by
 from rigtool.experiments.learning.implementations.runs import kind_of, last_update, runs_at_most
 from rigtool.experiments.learning.implementations.skeleton import TaughtTable
-from rigtool.experiments.learning.rows import Amplitudes, Row, fit_amplitudes
+from rigtool.experiments.learning.rows import Amplitudes, Row, assemble, fit_amplitudes
 from rigtool.experiments.learning.turns import TURN, repeatable_row, turn_angles
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, RecordingSpec
@@ -62,14 +62,7 @@ class AllSpeeds(BareMotor[TaughtSpeeds]):
         rows = [repeatable_row(row, variance) for row in updated]
         low = [learned_by(item, learning, counts) for item in self.turned(slower)]
         amplitudes = _amplitudes(low, rows)
-        table = LookupTable(
-            turn_angles(counts),
-            np.array([row.speed for row in rows]),
-            np.stack([row.mean for row in rows]),
-            amplitudes.speed,
-            amplitudes.amplitude,
-            period=TURN,
-        )
+        table = assemble(turn_angles(counts), rows, amplitudes, TURN)
         u = math.sqrt(variance) * np.stack([row.u for row in updated])
         dof = np.array([row.dof for row in updated])
         return TaughtSpeeds(table, u, dof, amplitudes, history, cut[0])

@@ -128,14 +128,6 @@ def read(first: int, count: int = 1, resolution: int = FLOAT) -> bytes:
     return _head(0x10, resolution, count, first)
 
 
-def reply(first: int, values: Sequence[float], resolution: int = FLOAT) -> bytes:
-    """Return the subframe that a drive answers with."""
-    return (
-        bytes([_head(0x20, resolution, len(values), first)[0]])
-        + write(first, values, resolution)[1:]
-    )
-
-
 def text_to_drive(text: bytes) -> bytes:
     """Return the subframe that carries text to the drive."""
     return bytes([TEXT_TO_DRIVE, CHANNEL, len(text)]) + text

@@ -75,6 +75,12 @@ def step_of(register, resolution):
     return next((steps[resolution] for all_, steps in SCALES.items() if register in all_), 1.0)
 
 
+def reply(first, values, resolution=frames.FLOAT):
+    """Return the subframe that a drive answers with: that of writing, with another code."""
+    written = frames.write(first, values, resolution)
+    return bytes([written[0] | 0x20]) + written[1:]
+
+
 class MoteusEmulator(Emulator):
     """A drive of address `node`; `uart` without an fdcanusb between.
 
@@ -243,7 +249,7 @@ class MoteusEmulator(Emulator):
                 max(-largest, min(largest, round(value / step_of(first + i, resolution))))
                 for i, value in enumerate(values)
             ]
-        return frames.reply(first, values, resolution)
+        return reply(first, values, resolution)
 
     def _register(self, number: int) -> float | None:
         m, ratio = self.motor, self.config["motor_position.rotor_to_output_ratio"]

@@ -26,7 +26,7 @@ from rigtool.rigs.serial.ports import find_devices
 from tests.cli.called import call
 from tests.rigs.performed import perform
 from tests.rigs.serial.emulators.faults import Fault, serve
-from tests.rigs.serial.emulators.moteus import MoteusEmulator
+from tests.rigs.serial.emulators.moteus import MoteusEmulator, reply
 from tests.rigs.serial.recipes import serial_recipe
 from tests.rigs.serial.target.test_driver_faults import wait_until
 
@@ -111,7 +111,7 @@ def test_every_flipped_bit_of_a_sealed_line_is_seen(data, bit):
     st.lists(st.floats(width=32, allow_nan=False), min_size=1, max_size=6),
 )
 def test_registers_come_back_from_a_reply(first, values):
-    found = frames.registers_of(frames.padded(frames.reply(first, values)))
+    found = frames.registers_of(frames.padded(reply(first, values)))
     assert found == {first + i: value for i, value in enumerate(values)}
 
 
@@ -119,7 +119,7 @@ def test_an_error_and_a_cut_reply_are_told_apart():
     with pytest.raises(frames.RegisterError, match="read of register 0x150: error 2"):
         frames.registers_of(bytes([0x31, 0xD0, 0x02, 2]))
     with pytest.raises(frames.BadFrame, match="is cut"):
-        frames.registers_of(frames.reply(1, [1.0, 2.0])[:-1])
+        frames.registers_of(reply(1, [1.0, 2.0])[:-1])
 
 
 # -- who is there
