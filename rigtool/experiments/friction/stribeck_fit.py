@@ -175,12 +175,11 @@ def fit_direction(
     best = _line(points)
     lowest, needed = _criterion(best, points), 0.0
     curves = {exponent: _stribeck(points, exponent) for exponent in shapes}
-    for exponent, lead in shapes.items():
-        candidate = curves[exponent]
+    for exponent, candidate in curves.items():
         if candidate is not None:
             criterion = _criterion(candidate, points)
-            if criterion + lead < lowest:
-                best, lowest, needed = candidate, criterion, lead
+            if criterion + shapes[exponent] < lowest:
+                best, lowest, needed = candidate, criterion, shapes[exponent]
     if best.exponent is None:
         best = _straight_part(points)
         _require_no_fall(best)
@@ -353,21 +352,16 @@ def _columns(points: _Points, vs: float, exponent: float) -> Array:
 
 def _akaike(residual: Array, parameters: int, *, known: bool) -> float:
     """Return the Akaike criterion for the variance that is stated, one, if it is `known`; else the
-    corrected one for an unknown variance."""
+    corrected one for an unknown variance, which counts as a parameter."""
+    n, k, square = len(residual), parameters + 1, float(residual @ residual)
     if known:
-        return float(residual @ residual) + 2 * parameters
-    return _corrected(residual, parameters + 1)
+        return square + 2 * parameters
+    return n * math.log(max(square / n, TINY)) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 1)
 
 
 def _criterion(fit: DirectionFit, points: _Points) -> float:
     residual = points.weighted(fit.evaluate(points.v, points.swing))
     return _akaike(residual, len(fit.parameters), known=len(residual) < FEW_SPEEDS)
-
-
-def _corrected(residual: Array, parameters: int) -> float:
-    """Return the corrected Akaike criterion for unknown variance, which counts as a parameter."""
-    n, k, square = len(residual), parameters, float(residual @ residual)
-    return n * math.log(max(square / n, TINY)) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 1)
 
 
 def require_explained(fits: Sequence[DirectionFit]) -> None:

@@ -13,8 +13,8 @@ from rigtool.experiments.friction.stribeck_fit import (
     BUMP_SIGNIFICANCE,
     FAR_BEYOND,
     OTHER_VELOCITIES,
+    _akaike,
     _averaged,
-    _corrected,
     _criterion,
     _line,
     _Points,
@@ -26,6 +26,11 @@ from rigtool.experiments.friction.stribeck_fit import (
 )
 
 SPEEDS = np.array([0.2, 0.4, 0.7, 1.0, 2.0, 4.0, 8.0, 15.0, 30.0])
+
+
+def corrected(residual, parameters):
+    """The variance is one of the parameters."""
+    return _akaike(residual, parameters - 1, known=False)
 
 
 def points(v, f, u):
@@ -41,13 +46,15 @@ def line_of(v, f, u):
 
 
 @given(st.lists(st.floats(-3, 3), min_size=2, max_size=12), st.integers(1, 5))
-def test_the_criterion_is_akaikes_corrected(residual, k):
+def test_the_criterion_is_akaikescorrected(residual, k):
     """N. Sugiura 1978, C. M. Hurvich and C.-L. Tsai 1989, with an unknown variance."""
     n, square = len(residual), sum(one**2 for one in residual)
     if square < 1e-6:
         return
     expected = n * math.log(square / n) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 1)
-    assert _corrected(np.array(residual), k) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    assert _akaike(np.array(residual), k - 1, known=False) == pytest.approx(
+        expected, rel=1e-9, abs=1e-9
+    )
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -143,7 +150,7 @@ def test_the_stated_line_is_the_mean_over_models_by_their_akaike_weights(static)
     line = _straight_part(points(v, f, u))
     out = v < line.lowest
     residual = np.where(out, 0.0, (f - line.evaluate(v)) / u)
-    models = [(line.parameters, _corrected(residual, 3 + out.sum()), 0.5, line.covariance)]
+    models = [(line.parameters, corrected(residual, 3 + out.sum()), 0.5, line.covariance)]
     for d in (2.0, 1.0):
         for vs in np.geomspace(v.min() / 3, v.max() / 3, OTHER_VELOCITIES):
             bump = np.exp(-((v / vs) ** d))
@@ -152,7 +159,7 @@ def test_the_stated_line_is_the_mean_over_models_by_their_akaike_weights(static)
             if p[2] >= p[0]:
                 rest = f / u - design @ p
                 own = np.linalg.inv(design.T @ design)[:2, :2] * max(1.0, rest @ rest / 6)
-                models.append((p[:2], _corrected(rest, 4), 0.25 / OTHER_VELOCITIES, own))
+                models.append((p[:2], corrected(rest, 4), 0.25 / OTHER_VELOCITIES, own))
     best = min(model[1] for model in models)
     weights = np.array([share * math.exp((best - one) / 2) for _, one, share, _ in models])
     weights /= weights.sum()
@@ -179,7 +186,7 @@ def test_a_chosen_curve_states_its_own_line_and_the_others_as_uncertainty():
     left = ((f - line.evaluate(v)) / u)[out:]
     padded = np.concatenate([np.zeros(out), left])
     criteria = [
-        _corrected(padded, 3 + out),
+        corrected(padded, 3 + out),
         *(_criterion(c, points(v, f, u)) for c in curves.values()),
     ]
     weights = np.array([0.5, 0.25, 0.25]) * np.exp((min(criteria) - np.array(criteria)) / 2)
