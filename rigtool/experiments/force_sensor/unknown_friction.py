@@ -69,10 +69,11 @@ in u: errors of both sides are far below it."""
 SPEED_TIME = 0.055
 """Time over which the direction is found, s."""
 
-DOUBTED, REFUSED = 1 / 3, 2.0
-"""H over u from which on u is widened; size of the median of h over u from which on nothing is
-given. The friction of another instrument is larger or smaller along most of the angle; a force that
-swings within a pass has both signs."""
+DOUBTED, CHANCE, REFUSED = 1 / 3, 1.5, 2.0
+"""H over u from which on u is widened; H over u, times the root of the passes in each direction, up
+to which strokes that deviate by u show as much once in a hundred recordings; size of the median of
+h over u from which on nothing is given. The friction of another instrument is larger or smaller
+along most of the angle; a force that swings within a pass has both signs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,12 +130,18 @@ class Passes:
 @dataclass(frozen=True)
 class UnknownFriction:
     """H `size` and w `widening`, N m; H over u, and the median of h over u without its sign,
-    `typical`."""
+    `typical`; and the `passes` in each direction that show it."""
 
     size: float
     widening: float
     over_u: float
     typical: float
+    passes: int
+
+    @property
+    def by_chance(self) -> bool:
+        """Whether strokes that deviate as u states may show as much."""
+        return self.over_u**2 * self.passes < CHANCE**2
 
 
 def unknown_friction(
@@ -165,7 +172,10 @@ def unknown_friction(
     limit = 4 * max(whole, bare) - 2 * whole
     wide = float(np.sqrt(np.mean(np.minimum(np.abs([up, down]), limit) ** 2)))
     typical = float(np.abs(np.median(opposing / size)))
-    return UnknownFriction(whole, wide, whole / usual, typical)
+    direction = np.concatenate([part.direction for part in parts])
+    known = np.isfinite(np.vstack([part.torque for part in parts]))[:, shown]
+    passes = min(int(np.median(known[direction == sign].sum(axis=0))) for sign in (1.0, -1.0))
+    return UnknownFriction(whole, wide, whole / usual, typical, passes)
 
 
 def lasting_torque(parts: Sequence[Passes], hand: float | None = None) -> float:

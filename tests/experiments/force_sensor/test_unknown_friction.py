@@ -46,6 +46,21 @@ def test_friction_in_both_directions_is_found_whatever_touches(seed, friction, s
     assert found.typical * U == pytest.approx(friction, abs=0.35e-3)
 
 
+@pytest.mark.parametrize("count", [2, 4, 8])
+def test_few_strokes_that_deviate_by_u_show_friction_by_chance(count):
+    rng, noted, learn_again = np.random.default_rng(count), 0, 0
+    direction = np.tile([1.0, -1.0], count)
+    for _ in range(300):
+        torque = np.tile(rng.normal(0, U, (2 * count, 1)), ANGLE_CELLS)
+        found = unknown_friction([Passes(direction, torque, np.full_like(torque, U))])
+        if found is not None and found.over_u > DOUBTED:
+            noted += 1
+            assert found.passes == count
+            learn_again += not found.by_chance
+    assert noted > 10
+    assert learn_again <= 6
+
+
 LOADS = {
     "grasping while closing": lambda direction, cell: 20e-3 * (direction > 0),
     "grasping both ways": lambda direction, cell: 20e-3,
