@@ -60,7 +60,7 @@ FEWEST_REVERSALS, DOUBTED_SHARE, LARGEST_SHARE = 4, 0.02, 0.3
 and the largest that is friction's: beyond it a contact begins or ends."""
 
 LASTING_CELLS, MOSTLY = 0.9, 0.5
-"""Part of the cells in which a torque that lasts has one sign; part of the passes that is most."""
+"""Part of the cells in which a torque that lasts is alike; part of the passes that is most."""
 
 NEXT_TIME, REVERSAL_TIME, LOAD_OVER_U = 0.06, 0.4, 10.0
 """Time before and after a reversal that is compared, s; the longest reversal, s; and the least load
@@ -179,17 +179,20 @@ def unknown_friction(
 
 
 def lasting_torque(parts: Sequence[Passes], hand: float | None = None) -> float:
-    """Return the torque N m that acts in both directions with one sign at `LASTING_CELLS` of the
-    angles, alike and by more than u at most; 0 where none does. `hand` as in `unknown_friction`."""
+    """Return the torque N m that acts in both directions, by more than u at most of the angles, and
+    alike at `LASTING_CELLS` of them; 0 where none does. `hand` as in `unknown_friction`.
+
+    Tissue acts at a part of the angles, and differently at each.
+    """
     cells = _untouched_cells(parts, hand)
     if len(cells) < FEWEST_CELLS:
         return 0.0
     up, down, size = cells.T
     lasting = float(np.median((up + down) / 2))
-    least = np.minimum(up * np.sign(lasting), down * np.sign(lasting))
-    if np.mean(least > 0) < LASTING_CELLS:
-        return 0.0
-    return lasting if np.median(least) > max(np.median(size), ALIKE * abs(lasting)) else 0.0
+    least, most = np.sort([up * np.sign(lasting), down * np.sign(lasting)], axis=0)
+    alike = (least > ALIKE * abs(lasting)) & (most < abs(lasting) / ALIKE)
+    everywhere = np.mean(alike) >= LASTING_CELLS
+    return lasting if everywhere and np.median(least) > np.median(size) else 0.0
 
 
 def driven_part(parts: Sequence[Passes], hand: float) -> float:

@@ -166,6 +166,13 @@ def test_a_torque_that_lasts_is_found(seed, size, sign):
     assert lasting_torque([passes]) == pytest.approx(sign * size, abs=0.4e-3)
 
 
+@given(seed=st.integers(0, 2**31), begins=st.integers(4, 14))
+def test_tissue_that_begins_along_the_stroke_does_not_last(seed, begins):
+    rng = np.random.default_rng(seed)
+    passes = strokes(rng, load=lambda direction, cell: 0.3e-3 + 4e-3 * max(cell - begins, 0))
+    assert lasting_torque([passes]) == 0
+
+
 @pytest.mark.parametrize("load", ["grasping while closing", "touching both ways at one place"])
 @given(seed=st.integers(0, 2**31), friction=st.floats(-3e-3, 5e-3))
 def test_what_does_not_act_everywhere_and_both_ways_does_not_last(load, seed, friction):
