@@ -95,6 +95,8 @@ def _message(item: ErrorDetails, model: type[BaseModel]) -> str:
         return "is missing; add it"
     if item["type"] == "extra_forbidden":
         key, known = str(item["loc"][-1]), set(keys_at(model, item["loc"][:-1]))
+        if key in known:
+            return "is a key of another kind of this table; remove it, or choose that kind"
         keys = dict.fromkeys(_dotted_keys(model))
         elsewhere = [dotted for dotted in keys if dotted.endswith(f".{key}")]
         otherwise = f"did you mean {' or '.join(elsewhere[:LONGEST_LIST])}?" if elsewhere else ""

@@ -24,6 +24,10 @@ TEXT = (Path(__file__).parents[2] / "recipes" / "briaire-2006.toml").read_text("
         ('virtual.contact=[{kind="pulze",at=[0]}]', "has the 'kind' 'pulze', must be one of"),
         ("virtual.contact=[{at=[0]}]", "needs a key 'kind'"),
         ('virtual.contact=[{kind="pulse",at=[0],forse=[1,2]}]', "did you mean force?"),
+        (
+            'virtual.contact=[{kind="pulse",at=[0],force=1,damping=1}]',
+            "damping: is a key of another kind of this table; remove it",
+        ),
         ("rig.sample_time=-1", "must be above 0, got -1 (of the control loop, s)"),
         ("stribeck.hold_speeds=[1, 2, 0]", "hold_speeds.2: must be above 0, got 0 (rad/s)"),
         ("measure_force.forces=[]", "needs 1 value at least, got []"),

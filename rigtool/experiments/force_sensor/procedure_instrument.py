@@ -95,12 +95,18 @@ def of_this_instrument(
         gain = 2 * found.size / friction_at_output(model)
         wider = max(one.widening for one in both)
         by, share = math.hypot(by, wider), math.hypot(share, gain)
+        reason = (
+            f"strokes deviate so by chance where {found.passes} passes are all in a direction, "
+            "which a longer recording decides"
+            if found.by_chance
+            else "the encoder was zeroed elsewhere, or the instrument or the torque constant has "
+            "changed: learn again"
+        )
         notes.append(
             f"friction of {found.size * 1e3:.3g} mN m opposes motion in both directions and "
             f"{tables.path} does not hold: u is wider by {wider * 1e3:.3g} mN m, and by "
             f"{100 * gain:.1f} % of the torque, since friction and load may both be read too "
-            "large or too small; the encoder was zeroed elsewhere, or the instrument or the torque "
-            "constant has changed: learn again"
+            f"large or too small; {reason}"
         )
     return [replace(r, parts=tuple(p.widened(by, share) for p in r.parts)) for r in read], notes
 

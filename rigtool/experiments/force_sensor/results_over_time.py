@@ -233,11 +233,13 @@ def _judged(rows: TorqueRows, largest: float) -> tuple[dict[str, Quantity], Tabl
         covered = np.abs(error) <= half
         overall, while_moving = (accuracy(error, covered, among) for among in (known, moving))
         why = "the deviation from the reference itself"
-        results |= {
+        found = {
             f"{prefix}rmse": Quantity(overall.rmse, "N m", reason=why),
             f"{prefix}rmse_moving": Quantity(while_moving.rmse, "N m", reason=why),
             f"{prefix}coverage_95": Quantity(overall.coverage, "1", reason="counted"),
         }
+        # none where nothing moves, or no reference is known
+        results |= {name: one for name, one in found.items() if math.isfinite(one.value)}
         cells = by_band_and_state(error, covered, rows.reference, states, largest)
         columns |= _cells(prefix, cells)
     return results, Table(

@@ -60,7 +60,7 @@ FEWEST_REVERSALS, DOUBTED_SHARE, LARGEST_SHARE = 4, 0.02, 0.3
 and the largest that is friction's: beyond it a contact begins or ends."""
 
 LASTING_CELLS, MOSTLY = 0.9, 0.5
-"""Part of the cells in which a torque that lasts has one sign; part of the passes that is most."""
+"""Part of the cells in which a torque that lasts is alike; part of the passes that is most."""
 
 NEXT_TIME, REVERSAL_TIME, LOAD_OVER_U = 0.06, 0.4, 10.0
 """Time before and after a reversal that is compared, s; the longest reversal, s; and the least load
@@ -69,10 +69,11 @@ in u: errors of both sides are far below it."""
 SPEED_TIME = 0.055
 """Time over which the direction is found, s."""
 
-DOUBTED, REFUSED = 1 / 3, 2.0
-"""H over u from which on u is widened; size of the median of h over u from which on nothing is
-given. The friction of another instrument is larger or smaller along most of the angle; a force that
-swings within a pass has both signs."""
+DOUBTED, CHANCE, REFUSED = 1 / 3, 1.5, 2.0
+"""H over u from which on u is widened; H over u, times the root of the passes in each direction, up
+to which strokes that deviate by u show as much once in a hundred recordings; size of the median of
+h over u from which on nothing is given. The friction of another instrument is larger or smaller
+along most of the angle; a force that swings within a pass has both signs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,12 +130,18 @@ class Passes:
 @dataclass(frozen=True)
 class UnknownFriction:
     """H `size` and w `widening`, N m; H over u, and the median of h over u without its sign,
-    `typical`."""
+    `typical`; and the `passes` in each direction that show it."""
 
     size: float
     widening: float
     over_u: float
     typical: float
+    passes: int
+
+    @property
+    def by_chance(self) -> bool:
+        """Whether strokes that deviate as u states may show as much."""
+        return self.over_u**2 * self.passes < CHANCE**2
 
 
 def unknown_friction(
@@ -165,21 +172,27 @@ def unknown_friction(
     limit = 4 * max(whole, bare) - 2 * whole
     wide = float(np.sqrt(np.mean(np.minimum(np.abs([up, down]), limit) ** 2)))
     typical = float(np.abs(np.median(opposing / size)))
-    return UnknownFriction(whole, wide, whole / usual, typical)
+    direction = np.concatenate([part.direction for part in parts])
+    known = np.isfinite(np.vstack([part.torque for part in parts]))[:, shown]
+    passes = min(int(np.median(known[direction == sign].sum(axis=0))) for sign in (1.0, -1.0))
+    return UnknownFriction(whole, wide, whole / usual, typical, passes)
 
 
 def lasting_torque(parts: Sequence[Passes], hand: float | None = None) -> float:
-    """Return the torque N m that acts in both directions with one sign at `LASTING_CELLS` of the
-    angles, alike and by more than u at most; 0 where none does. `hand` as in `unknown_friction`."""
+    """Return the torque N m that acts in both directions, by more than u at most of the angles, and
+    alike at `LASTING_CELLS` of them; 0 where none does. `hand` as in `unknown_friction`.
+
+    Tissue acts at a part of the angles, and differently at each.
+    """
     cells = _untouched_cells(parts, hand)
     if len(cells) < FEWEST_CELLS:
         return 0.0
     up, down, size = cells.T
     lasting = float(np.median((up + down) / 2))
-    least = np.minimum(up * np.sign(lasting), down * np.sign(lasting))
-    if np.mean(least > 0) < LASTING_CELLS:
-        return 0.0
-    return lasting if np.median(least) > max(np.median(size), ALIKE * abs(lasting)) else 0.0
+    least, most = np.sort([up * np.sign(lasting), down * np.sign(lasting)], axis=0)
+    alike = (least > ALIKE * abs(lasting)) & (most < abs(lasting) / ALIKE)
+    everywhere = np.mean(alike) >= LASTING_CELLS
+    return lasting if everywhere and np.median(least) > np.median(size) else 0.0
 
 
 def driven_part(parts: Sequence[Passes], hand: float) -> float:

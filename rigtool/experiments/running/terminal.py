@@ -192,7 +192,7 @@ class Live:
 
     def _draw(self) -> None:
         for name, values in self._history.items():
-            values.append(_mean(np.concatenate([block[name] for block in self._blocks])))
+            values.append(_drawn(np.concatenate([block[name] for block in self._blocks]), name))
         moment = float(self._blocks[-1]["time"][-1]) if len(self._blocks[-1]["time"]) else math.nan
         self._blocks.clear()
         lines = [f"{self._recording}  {moment:.1f} s"]
@@ -239,6 +239,9 @@ def sparkline(values: deque[float], bars: str = BARS) -> str:
     )
 
 
-def _mean(values: Any) -> float:
+def _drawn(values: Any, name: str) -> float:
+    """Return the mean of the known values (n,), or the newest of those that number something."""
+    if values.size and np.issubdtype(values.dtype, np.integer) and name not in CHANNEL_UNITS:
+        return float(values[-1])
     known = values[np.isfinite(values)]
     return float(known.mean()) if known.size else math.nan

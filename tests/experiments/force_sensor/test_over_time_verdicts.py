@@ -72,8 +72,18 @@ def gain(size):
     return pytest.approx(2 * size / friction_at_output(Model()))
 
 
-def friction(size, widening=1e-3, over_u=0.5, typical=1.0):
-    return UnknownFriction(size, widening, over_u, typical)
+def friction(size, widening=1e-3, over_u=0.5, typical=1.0, passes=20):
+    return UnknownFriction(size, widening, over_u, typical, passes)
+
+
+@pytest.mark.parametrize(("passes", "chance"), [(2, True), (8, True), (10, False), (40, False)])
+def test_what_few_passes_show_by_chance_asks_for_no_learning(monkeypatch, passes, chance):
+    widened, notes, _ = judged(
+        monkeypatch, dict.fromkeys(["with", "without"], friction(2e-3, passes=passes))
+    )
+    assert widened == (pytest.approx(1e-3), gain(2e-3))
+    assert ("learn again" in notes[-1]) != chance
+    assert (f"where {passes} passes are all in a direction" in notes[-1]) == chance
 
 
 def test_a_hand_drives_by_more_than_half_of_the_friction():

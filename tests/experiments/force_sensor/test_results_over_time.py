@@ -95,6 +95,13 @@ def test_errors_are_those_against_the_reference_by_state():
                 assert table["share"][b, s] == pytest.approx(among.sum() / known.sum())
 
 
+def test_what_never_moves_has_no_error_while_it_moves():
+    own = rows("a", 0.0, reference=True)
+    results, _ = over_time_tables([replace(own, states=np.full(ROWS, State.STILL))], 5e-3, 30.0)
+    assert "rmse" in results
+    assert "rmse_moving" not in results
+
+
 def test_the_table_has_the_interval_of_each_row():
     own = rows("a", 3.0, outside=slice(7, 9))
     table = over_time_tables([own], 5e-3, 30.0)[1]["force"]

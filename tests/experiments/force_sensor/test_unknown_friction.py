@@ -46,6 +46,21 @@ def test_friction_in_both_directions_is_found_whatever_touches(seed, friction, s
     assert found.typical * U == pytest.approx(friction, abs=0.35e-3)
 
 
+@pytest.mark.parametrize("count", [2, 4, 8])
+def test_few_strokes_that_deviate_by_u_show_friction_by_chance(count):
+    rng, noted, learn_again = np.random.default_rng(count), 0, 0
+    direction = np.tile([1.0, -1.0], count)
+    for _ in range(300):
+        torque = np.tile(rng.normal(0, U, (2 * count, 1)), ANGLE_CELLS)
+        found = unknown_friction([Passes(direction, torque, np.full_like(torque, U))])
+        if found is not None and found.over_u > DOUBTED:
+            noted += 1
+            assert found.passes == count
+            learn_again += not found.by_chance
+    assert noted > 10
+    assert learn_again <= 6
+
+
 LOADS = {
     "grasping while closing": lambda direction, cell: 20e-3 * (direction > 0),
     "grasping both ways": lambda direction, cell: 20e-3,
@@ -149,6 +164,13 @@ def test_a_torque_that_lasts_is_found(seed, size, sign):
     rng = np.random.default_rng(seed)
     passes = strokes(rng, 0.3e-3, load=lambda direction, cell: sign * size)
     assert lasting_torque([passes]) == pytest.approx(sign * size, abs=0.4e-3)
+
+
+@given(seed=st.integers(0, 2**31), begins=st.integers(4, 14))
+def test_tissue_that_begins_along_the_stroke_does_not_last(seed, begins):
+    rng = np.random.default_rng(seed)
+    passes = strokes(rng, load=lambda direction, cell: 0.3e-3 + 4e-3 * max(cell - begins, 0))
+    assert lasting_torque([passes]) == 0
 
 
 @pytest.mark.parametrize("load", ["grasping while closing", "touching both ways at one place"])

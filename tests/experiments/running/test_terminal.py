@@ -54,6 +54,13 @@ def test_it_draws_means_over_the_interval_and_draws_again_above():
     assert drawn[3].endswith("1.5 A     " + BARS[0] + BARS[-1])  # of the last two blocks
 
 
+def test_the_newest_state_is_drawn_as_between_two_numbers_lies_none():
+    out = io.StringIO()
+    live = Live(out, columns=4, clock=lambda: 1.0)
+    live.show("hold", {"time": np.array([0.5, 1.0]), "state": np.array([1, 4], dtype=np.int32)})
+    assert out.getvalue().split("\n")[1].rstrip(BARS).split()[1:] == ["state", "4"]
+
+
 def test_another_recording_begins_below():
     now = iter([0.0, 1.0])
     out = io.StringIO()
