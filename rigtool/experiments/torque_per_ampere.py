@@ -97,6 +97,23 @@ def torque_per_ampere_at(kt: Run, temperature_degc: float) -> Quantity:
     return combined(constant.value * factor * gain.value, constant.unit, lines)
 
 
+def warmed(constant: Quantity, kt: Run, square: float, least: float = 0.0) -> Quantity:
+    """Return a torque for each ampere while currents of the mean `square`, A2, heat the winding.
+
+    The winding is warmer than the housing. How much of `winding_heat_loss` is reached is not known:
+    anything between the part `least` and the whole, a rectangular distribution (GUM 4.3.7).
+    """
+    if "winding_heat_loss" not in kt.results:
+        return constant
+    loss = kt.result("winding_heat_loss", "1/A2")
+    reached, half = square * (1 + least) / 2, square * (1 - least) / 2
+    u = constant.value * math.hypot(loss.value * half / math.sqrt(3), reached * (loss.u or 0.0))
+    left = 1 - loss.value * reached
+    heat = error_line("heat of the winding", u, constant.unit)
+    lines = [*inherited(constant, left, "torque constant"), heat]
+    return combined(constant.value * left, constant.unit, lines)
+
+
 def _constant(kt: Run, name: str, unit: str = "N m/A") -> Quantity:
     """Return a result that other numbers are divided by; `RunFileError` where it is zero."""
     found = kt.result(name, unit)

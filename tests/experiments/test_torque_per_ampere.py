@@ -14,9 +14,10 @@ from rigtool.experiments.torque_per_ampere import (
     temperature_at_ends,
     torque_per_ampere,
     torque_per_ampere_at,
+    warmed,
     with_constant,
 )
-from rigtool.quantity import Quantity
+from rigtool.quantity import Quantity, combined, error_line
 from rigtool.runfile import Channel, RecordingSpec, RunWriter, open_run
 from rigtool.runfile.schema import CHUNK
 
@@ -133,6 +134,20 @@ def test_at_a_temperature_it_is_the_line_with_the_budget_of_its_derivatives(tmp_
     assert [each.contribution for each in found.budget] == pytest.approx(np.abs(moved), rel=1e-6)
     with calibration(tmp_path / "one.h5") as kt:  # without a slope
         assert torque_per_ampere_at(kt, 45.0) == torque_per_ampere(kt)
+
+
+def test_currents_warm_the_winding_by_a_part_that_is_unknown(tmp_path):
+    constant = combined(0.045, "N m/A", [error_line("torque constant", 9e-6, "N m/A")])
+    loss = Quantity(1e-3, "1/A2", 2e-4)
+    with calibration(tmp_path / "kt.h5", winding_heat_loss=loss) as kt:
+        found = warmed(constant, kt, 0.8, least=0.5)
+    # From 0.4 to 0.8 A2 of 1e-3/A2: 0.6 in the middle, evenly distributed
+    assert found.value == pytest.approx(0.045 * (1 - 0.6e-3), rel=1e-12)
+    own, heat = (line.contribution for line in found.budget)
+    assert own == pytest.approx(9e-6 * (1 - 0.6e-3), rel=1e-12)
+    assert heat == pytest.approx(0.045 * np.hypot(0.2e-3 / np.sqrt(3), 0.6 * 2e-4), rel=1e-12)
+    with calibration(tmp_path / "cold.h5") as kt:
+        assert warmed(constant, kt, 0.8) is constant
 
 
 class Imported:

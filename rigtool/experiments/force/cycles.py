@@ -14,6 +14,7 @@ T_load / shift estimates the stiffness (thesis Fig. 62).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -24,6 +25,7 @@ from rigtool.errors import InsufficientDataError
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_signals
 from rigtool.numerics.shapiro_wilk import p_value
+from rigtool.numerics.steady_mean import steady_mean, steady_us
 
 HYSTERESIS = 0.1
 """Part of the stroke by which the position must pass the middle to count as having passed."""
@@ -162,6 +164,18 @@ def statistics(values: ArrayLike) -> LoadStatistics:
         u=std / math.sqrt(effective),
         dof=effective - 1,
     )
+
+
+def steady_statistics(series: Sequence[Array]) -> list[LoadStatistics]:
+    """Summarise the readings (n,) of all loads, N m, whose strokes pay back alike
+    (`numerics.steady_mean`)."""
+    found = []
+    for values, (u, dof) in zip(series, steady_us(series), strict=True):
+        std = float(values.std(ddof=1))
+        found.append(
+            LoadStatistics(float(steady_mean(values)), std, values.size, (std / u) ** 2, u, dof)
+        )
+    return found
 
 
 def normality(values: ArrayLike) -> Normality:

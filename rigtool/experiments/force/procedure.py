@@ -16,6 +16,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.controller_torque import require_stable_loop
+from rigtool.experiments.force.cycles import steady_statistics
 from rigtool.experiments.force.imported import analyse_imported
 from rigtool.experiments.force.procedure_readings import read_load
 from rigtool.experiments.force.results import (
@@ -43,6 +44,7 @@ from rigtool.experiments.torque_per_ampere import (
     mean_constant,
     mean_temperature,
     torque_per_ampere_at,
+    warmed,
 )
 from rigtool.quantity import Component, Quantity, combined, inherited
 from rigtool.recipe import Recipe
@@ -69,6 +71,10 @@ OVER_TIME_SETTINGS = ("measure_force.motion.bandwidth_hz",)
 HIDDEN_DOF = 4.5
 """Degrees of freedom of the ripple of so few angles that it states no uncertainty: it is known to a
 third of its size or so (GUM G.4.2)."""
+
+HEATED = 0.5
+"""Least part of the winding's heat that loads reach, whose recordings follow each other for longer
+than the time of `winding_heat_loss`."""
 
 # -- measuring
 
@@ -190,10 +196,10 @@ def _corrected(
     )
 
     if correction == "load":
-        own, remarks = _at_motor(run, constant, kt)
-        own_loads = [load.scaled(own.value / constant.value) for load in loads]
+        own, own_loads, remarks = _at_motor(run, loads, recipe, constant, kt)
         corrected, added_u = without_load_friction(own_loads, recipe, tables, own)
-        found = load_rows(corrected, recipe, own, ripple, table_u)
+        steady = steady_statistics([load.values for load in corrected])
+        found = load_rows(corrected, recipe, own, ripple, table_u, steady)
         base = loads_outcome(corrected, found, recipe)
         base = replace(base, notes=(*remarks, *base.notes))
         return load_outcome(base, found, added_u, rows)
@@ -210,16 +216,30 @@ def _corrected(
     )
 
 
-def _at_motor(run: Run, mean: Quantity, kt: Run) -> tuple[Quantity, tuple[str, ...]]:
-    """Return the torque constant at one rotor angle and at the temperature that the motor had, with
-    a remark; the `mean` where it is unknown."""
+def _at_motor(
+    run: Run, loads: list[LoadReadings], recipe: Recipe, mean: Quantity, kt: Run
+) -> tuple[Quantity, list[LoadReadings], tuple[str, ...]]:
+    """Return the torque constant at one rotor angle while the heaviest load warms the winding, each
+    load read by that of its own winding, with a remark; as they are where the motor's temperature
+    is unknown."""
     degc = mean_temperature(run.recordings_named("load_"))
     if math.isnan(degc):
-        return mean, ()
-    own = _constant_at_one_angle(torque_per_ampere_at(kt, degc), kt)
-    return own, (
-        f"loads with the correction are read by the torque constant at the motor's {degc:.3g} "
-        f"degC, {own.value * 1e3:.4g} mN m/A",
+        return mean, loads, ()
+    at_housing = torque_per_ampere_at(kt, degc)
+    factor = recipe.rig.torque_factor * mean.value
+    currents = [load.torque / factor + load.feedforward / mean.value for load in loads]
+    squares = [float(current @ current) / current.size for current in currents]
+    winding = [warmed(at_housing, kt, square, HEATED) for square in squares]
+    read = [load.scaled(own.value / mean.value) for load, own in zip(loads, winding, strict=True)]
+    least = min(winding, key=lambda own: own.value)
+    return (
+        _constant_at_one_angle(least, kt),
+        read,
+        (
+            f"loads with the correction are read by the torque constant at the motor's {degc:.3g} "
+            f"degC, {at_housing.value * 1e3:.4g} mN m/A, less up to "
+            f"{100 * (1 - least.value / at_housing.value):.2g} % as currents warm the winding",
+        ),
     )
 
 

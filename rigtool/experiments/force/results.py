@@ -157,15 +157,18 @@ def load_rows(
     constant: Quantity,
     ripple: Callable[[float], float],
     table_u: float,
+    found: Sequence[LoadStatistics] = (),
 ) -> list[LoadRow]:
     """Return Table 8 or 9, load by load, from readings at one angle of the rising strokes.
 
     `loads` begin with the one without force; `constant` is the torque constant at one rotor angle,
     `ripple` the part of its ripple that acts at a current, A, and `table_u` the standard
-    uncertainty of the learned table where torque is read, N m.
+    uncertainty of the learned table where torque is read, N m. `found` summarises the readings of
+    each load; without it each load's are taken alone.
     """
+    summaries = found or [statistics(load.values) for load in loads]
     angle = math.radians(recipe.measure_force.measure_angle)
-    unloaded = statistics(loads[0].values)
+    unloaded = summaries[0]
     table = [Component("learned table", 0.0, "N m", table_u, None, recipe.rig.torque_factor)]
     # The zero reading contains the error of the table, too, and removes it; its own uncertainty
     # takes the place of the table's.
@@ -175,24 +178,23 @@ def load_rows(
     ]
     zero, offset = (unloaded.mean, zeroed) if recipe.measure_force.zero else (0.0, table)
     rows = []
-    for load in loads:
-        if load is loads[0]:
-            found, own = unloaded, table
-        else:
-            found, own = statistics(load.values - zero), offset
+    for load, summary in zip(loads, summaries, strict=True):
+        first = load is loads[0]
+        own = table if first else offset
+        mean = summary.mean - (0.0 if first else zero)
         # What a load adds to ripple of i |i| grows with the current that flows without, too.
-        held = abs(found.mean) / recipe.rig.torque_factor + 2 * np.mean(np.abs(load.feedforward))
+        held = abs(mean) / recipe.rig.torque_factor + 2 * np.mean(np.abs(load.feedforward))
         here = _with_ripple(constant, ripple(float(held) / constant.value))
         rows.append(
             LoadRow(
                 applied_force=load.force,
                 applied=_applied_quantity(recipe, load.force, angle),
-                mean=_mean_quantity(found, recipe, here, own, load.method_u),
-                std_torque=found.std,
+                mean=_mean_quantity(replace(summary, mean=mean), recipe, here, own, load.method_u),
+                std_torque=summary.std,
                 # S / sqrt(2 (n - 1)) for normal readings (GUM E.4.3)
-                std_torque_u=found.std / math.sqrt(2 * (found.count - 1)),
-                cycles=found.count,
-                effective_cycles=found.effective_count,
+                std_torque_u=summary.std / math.sqrt(2 * (summary.count - 1)),
+                cycles=summary.count,
+                effective_cycles=summary.effective_count,
             )
         )
     return rows

@@ -36,6 +36,7 @@ from rigtool.experiments.load_disturbance.results_known_loads import reference_l
 from rigtool.experiments.load_disturbance.stored import Disturbance, disturbance_from, rising_load
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array
+from rigtool.numerics.steady_mean import steady_mean
 from rigtool.quantity import Component, Quantity, combined, error_line, inherited
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run
@@ -66,7 +67,7 @@ def without_load_friction(
     """
     stated = any(line.name == ONE_ANGLE for line in constant.budget)
     disturbance = corrects(tables, recipe)
-    zero = float(loads[0].values.mean())
+    zero = float(steady_mean(loads[0].values))
     found, us = [loads[0]], [0.0]
     for load in loads[1:]:
         shown = load.values - zero

@@ -13,6 +13,7 @@ from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.experiments.force_model.stored import TERMS, model_from
 from rigtool.experiments.load_disturbance.sliding import DisturbanceGrid
 from rigtool.numerics.arrays import Array
+from rigtool.quantity import STANDARD_GRAVITY
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Run, Table
 
@@ -99,9 +100,14 @@ def rising_load(tables: Run, recipe: Recipe, model: LearnedModel, added: Array) 
     """Return what belongs to torques (l,) N m that loads add to the tendon while
     `measure_force` lifts them, from the stored tables.
 
-    The tendon carries s = added + t, with friction t of the tip. Its stretch turns the output back
-    by s / k: at angle b, the load M shows added = M sin(b - s / k), and M sin b is its torque.
-    What remains is the part of the disturbance that does not change its sign with the direction.
+    The tendon carries s = added + t, with friction t of the tip. Its stretch e turns the output
+    back, at an even speed v of the rotor over the angle ratio,
+
+        added = M sin a + J a'',   a = b - e,   k e + c e' = s,   J = M r / g + Jg
+
+    with e' = v q/(1 + q) and a'' = v^2 M sin a/(k (1 + q)^3), where q = M cos a/k: the output
+    speeds up while the tendon shortens. M sin b is the torque of the load at angle b. What remains
+    is the part of the disturbance that does not change its sign with the direction.
     """
     from scipy.interpolate import interpn
 
@@ -120,8 +126,14 @@ def rising_load(tables: Run, recipe: Recipe, model: LearnedModel, added: Array) 
         return found[:-1] if column == "u" else found[:-1] - found[-1]
 
     friction, friction_u = at(LOAD_FRICTION, "torque"), at(LOAD_FRICTION, "u")
-    stretch = carried / model.shape.stiffness
-    torque = added * math.sin(position) / np.sin(position - stretch)
+    shape, rate = model.shape, speed / ratio
+    stretch = carried / shape.stiffness
+    moment = added / np.sin(position - stretch)
+    slope = moment * np.cos(position - stretch) / shape.stiffness
+    stretch -= shape.damping / shape.stiffness * rate * slope / (1 + slope)
+    inertia = moment * recipe.rig.load_arm / STANDARD_GRAVITY + shape.grasper_inertia
+    swept = inertia * rate**2 / (shape.stiffness * (1 + slope) ** 3)
+    torque = added * math.sin(position) / (np.sin(position - stretch) * (1 + swept))
     number = SLIDING_PARAMETERS.index("stiffness")
     relative = math.sqrt(model.covariance[number, number])
     stretch_u = torque * stretch / np.tan(position - stretch) * relative

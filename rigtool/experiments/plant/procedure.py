@@ -32,10 +32,10 @@ from rigtool.experiments.plant.procedure_excitation import (
 )
 from rigtool.experiments.plant.results import IdentifiedPlant, plant_outcome
 from rigtool.experiments.procedure import Procedure, channels, record
-from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
+from rigtool.experiments.torque_per_ampere import torque_per_ampere_at, warmed
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import rising_steps
-from rigtool.quantity import Quantity, combined, error_line, inherited
+from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig
 from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
@@ -119,24 +119,13 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run | None = None) -> Ou
 
 
 def _torque_constant(recording: Recording, kt: Run | None) -> Quantity | None:
-    """Return the torque for each ampere at the recording's temperature; None without --kt.
-
-    The winding is warmer than the housing by what its current heats it. How much of that the
-    recording reaches is not known: the constant is lower by anything between nothing and the whole
-    of it, a rectangular distribution (GUM 4.3.7).
-    """
+    """Return the torque for each ampere at the winding's temperature in a recording; None without
+    --kt."""
     if kt is None:
         return None
     constant = torque_per_ampere_at(kt, float(recording.read("temperature").mean()))
-    if "winding_heat_loss" not in kt.results:
-        return constant
-    loss = kt.result("winding_heat_loss", "1/A2")
-    half = float(np.mean(recording.read("current_setpoint").astype(np.float64) ** 2)) / 2
-    u = constant.value * half * math.hypot(loss.value / math.sqrt(3), loss.u or 0.0)
-    left = 1 - loss.value * half
-    heat = error_line("heat of the winding", u, constant.unit)
-    lines = [*inherited(constant, left, "torque constant"), heat]
-    return combined(constant.value * left, constant.unit, lines)
+    current = recording.read("current_setpoint").astype(np.float64)
+    return warmed(constant, kt, float(np.mean(current**2)))
 
 
 def _require_unlimited(asked: Array, signal: Array, recipe: Recipe) -> None:

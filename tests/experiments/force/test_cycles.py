@@ -11,6 +11,7 @@ from scipy import signal, stats
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force import cycles as force
+from rigtool.numerics.steady_mean import weights
 
 RATE = 500.0
 
@@ -120,6 +121,25 @@ def test_correlation_never_makes_the_uncertainty_smaller(values):
     row = force.statistics(values)
     assert row.u >= row.std / math.sqrt(len(values)) * (1 - 1e-12)
     assert row.dof <= len(values) - 1 + 1e-12
+
+
+def test_strokes_that_pay_back_know_their_mean_better():
+    """Deviations that the next stroke returns: the means of many series scatter as stated, which
+    each series taken alone overstates by far."""
+    rng = np.random.default_rng(5)
+    found, alone = [], []
+    for _ in range(200):
+        drawn = rng.standard_normal((6, 21))
+        series = drawn[:, 1:] - 0.8 * drawn[:, :-1]
+        found += force.steady_statistics(list(series))
+        alone += [force.statistics(row) for row in series]
+    scatter = np.std([row.mean for row in found])
+    assert math.sqrt(np.mean([row.u**2 for row in found])) == pytest.approx(scatter, rel=0.25)
+    assert math.sqrt(np.mean([row.u**2 for row in alone])) > 2 * scatter
+    last, own = found[-1], series[-1]
+    assert last.std == pytest.approx(own.std(ddof=1), rel=1e-12)
+    assert last.effective_count == pytest.approx((last.std / last.u) ** 2, rel=1e-12)
+    assert last.mean == pytest.approx(np.average(own, weights=weights(20)), rel=1e-12)
 
 
 # --- normality
