@@ -82,8 +82,7 @@ def temperature_at_turns(recording: Recording, passed: Array) -> Array:
         return np.full(turns + 1, np.nan)
     degree = min(DRIFT_DEGREE, known.size - 1)
     smooth = np.polyfit((known + 0.5) / turns, sums[known] / counts[known], degree)
-    degrees: Array = np.polyval(smooth, np.arange(turns + 1) / turns)
-    return degrees
+    return np.asarray(np.polyval(smooth, np.arange(turns + 1) / turns), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
