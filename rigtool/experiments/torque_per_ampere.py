@@ -153,12 +153,6 @@ def _known_error(kt: Run) -> float:
     return kt.result(name, "1").value if name in kt.results else 0.0
 
 
-def temperature_at_ends(recording: Recording) -> tuple[float, float]:
-    """Return the motor's temperature at the start and at the end, degC; NaN where none is known."""
-    first, last = (float(end.mean()) if end.size else math.nan for end in _at_ends(recording))
-    return first, last
-
-
 def mean_temperature(recordings: Sequence[Recording]) -> float:
     """Return the motor's mean temperature at the ends of recordings, degC; NaN where none is
     known."""

@@ -11,7 +11,6 @@ from rigtool.experiments.torque_per_ampere import (
     effort_of,
     mean_constant,
     mean_temperature,
-    temperature_at_ends,
     torque_per_ampere,
     torque_per_ampere_at,
     warmed,
@@ -209,7 +208,6 @@ def test_a_constant_that_is_given_counts_before_the_torque_of_a_drive(tmp_path):
 
 
 def test_a_recording_without_a_thermometer_has_no_temperature():
-    assert np.isnan(temperature_at_ends(Imported("current"))).all()
     assert np.isnan(mean_temperature([Imported("current")]))
 
 
@@ -231,4 +229,4 @@ def test_ends_are_the_first_and_the_last_samples_of_any_recording(size):
     recording = SimpleNamespace(size=size, has=lambda name: True, blocks=blocks)
     count = min(size, END_SAMPLES)
     expected = degc[:count].mean(), degc[-count:].mean()
-    assert temperature_at_ends(recording) == pytest.approx(expected)
+    assert mean_temperature([recording]) == pytest.approx(np.mean(expected))

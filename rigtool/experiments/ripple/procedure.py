@@ -32,6 +32,7 @@ from rigtool.experiments.ripple.procedure_steady import (
     collected,
     first_and_last,
     steady_samples,
+    temperature_at_turns,
 )
 from rigtool.experiments.ripple.results import (
     comparison_results,
@@ -44,15 +45,15 @@ from rigtool.experiments.ripple.results import (
     varying_note,
 )
 from rigtool.experiments.ripple.winding_heat import Lowered, TurnCurrents, winding_heat
+from rigtool.experiments.torque_constant.staircases.model import COPPER_COEFFICIENT
 from rigtool.experiments.torque_per_ampere import (
     mean_constant,
-    temperature_at_ends,
     torque_per_ampere_at,
     with_constant,
 )
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.welch import Welch
-from rigtool.quantity import Quantity, combined, error_line, inherited
+from rigtool.quantity import REFERENCE_DEGC, Quantity, combined, error_line, inherited
 from rigtool.recipe import Recipe
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import SpeedProfile
@@ -232,13 +233,21 @@ def _constants(
 
     At the temperature of the housing while it was recorded, lowered by the heat of the winding.
     """
-    degrees = [temperature_at_ends(recording) for recording in recorded]
-    if not np.isfinite(degrees).all():
+    degrees = [
+        temperature_at_turns(recording, own.passed)
+        for own, recording in zip(found, recorded, strict=True)
+    ]
+    if not np.isfinite(np.concatenate(degrees)).all():
         constant, note = mean_constant(kt, recorded)
         alike = [np.full((1, 1), constant.value)] * len(recorded)
         return [constant] * len(recorded), alike, note
-    at_ends = [[torque_per_ampere_at(kt, degc).value for degc in ends] for ends in degrees]
-    falls = [math.log(begin / end) for begin, end in at_ends]
+    housings = [torque_per_ampere_at(kt, float(degc.mean())) for degc in degrees]
+    kelvin = torque_per_ampere_at(kt, REFERENCE_DEGC + 1), torque_per_ampere_at(kt, REFERENCE_DEGC)
+    slope = kelvin[0].value - kelvin[1].value
+    falls = [
+        -np.log1p(slope / housing.value * (degc - degc.mean()))
+        for degc, housing in zip(degrees, housings, strict=True)
+    ]
     heat = winding_heat(
         [
             TurnCurrents(
@@ -247,23 +256,23 @@ def _constants(
                 own.current,
                 "torque" in recording.conditions,
                 fall,
+                1 + COPPER_COEFFICIENT * ((degc[1:] + degc[:-1]) / 2 - degrees[0][0]),
             )
-            for own, recording, fall in zip(found, recorded, falls, strict=True)
+            for own, recording, degc, fall in zip(found, recorded, degrees, falls, strict=True)
         ]
     )
     constants, by_cell = [], []
-    for own, ends, lowered, fall in zip(found, degrees, heat, falls, strict=True):
-        housing = torque_per_ampere_at(kt, sum(ends) / 2)
+    for own, housing, lowered, fall in zip(found, housings, heat, falls, strict=True):
         turns, (count, cells) = own.current.size, own.waveforms.shape
         place = turns - count + (np.arange(count * cells) + 0.5) / cells
-        lower = np.interp(place, np.arange(turns + 1), lowered.fall) + fall * (place / turns - 0.5)
+        lower = np.interp(place, np.arange(turns + 1), lowered.fall + fall)
         if lower.max() > LARGEST_FALL:
             raise InsufficientDataError(
                 "heat of the winding would lower the torque constant by "
                 f"{100 * lower.max():.0f} %; more than {100 * LARGEST_FALL:.0f} % is no motor's: "
                 "check the recorded temperature and current"
             )
-        by_turn = housing.value * (1 - lower.reshape(count, cells))
+        by_turn = housing.value * np.exp(-lower.reshape(count, cells))
         by_cell.append(by_turn if own.forward else by_turn[:, ::-1])
         value = float(by_turn.mean())
         lines = [

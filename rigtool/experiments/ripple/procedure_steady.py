@@ -20,6 +20,9 @@ from rigtool.recipe import Recipe
 from rigtool.runfile import Recording
 from rigtool.runfile.schema import CHUNK
 
+DRIFT_DEGREE = 3
+"""Degree of the polynomial by which the housing's temperature changes over a recording."""
+
 MIN_STEADY_SAMPLES = 4
 """Smallest number of samples at constant speed, however few turns they make."""
 
@@ -57,6 +60,29 @@ def first_and_last(recording: Recording, channel: str, samples: range) -> tuple[
     """Return the first and the last of these samples."""
     first, last = (recording.read(channel, i, i + 1)[0] for i in (samples[0], samples[-1]))
     return float(first), float(last)
+
+
+def temperature_at_turns(recording: Recording, passed: Array) -> Array:
+    """Return the motor's temperature where turns begin and end, (turns + 1,) degC; NaN where none
+    is known.
+
+    `passed` (turns + 1,) s are these times. A polynomial of third degree through the means of the
+    turns: a housing warms by an exponential, of which a long recording shows more than a line.
+    """
+    turns = passed.size - 1
+    sums, counts = np.zeros(turns), np.zeros(turns)
+    if recording.has("temperature"):
+        for time, degc in recording.blocks("time", "temperature", finite=False):
+            turn = np.searchsorted(passed, time, side="right") - 1
+            used = np.isfinite(degc) & (turn >= 0) & (turn < turns)
+            counts += np.bincount(turn[used], minlength=turns)
+            sums += np.bincount(turn[used], weights=degc[used], minlength=turns)
+    known = np.flatnonzero(counts)
+    if not known.size:
+        return np.full(turns + 1, np.nan)
+    degree = min(DRIFT_DEGREE, known.size - 1)
+    smooth = np.polyfit((known + 0.5) / turns, sums[known] / counts[known], degree)
+    return np.asarray(np.polyval(smooth, np.arange(turns + 1) / turns), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)

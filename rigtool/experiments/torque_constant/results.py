@@ -7,7 +7,14 @@ import numpy as np
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.torque_constant.staircases.fit import SAME_TEMPERATURE
 from rigtool.experiments.torque_constant.temperature_fit import MODEL_OF_FRICTION, Calibration
-from rigtool.quantity import CURRENT_READING, Component, Quantity, combined, error_line
+from rigtool.quantity import (
+    CURRENT_READING,
+    ROUNDING_PART,
+    Component,
+    Quantity,
+    combined,
+    error_line,
+)
 from rigtool.runfile import Column, Table, dof_column
 
 FAR_OFF = 3.0
@@ -136,7 +143,8 @@ def _notes(
             f"{nominal:g} N m/A: see to the units of force, arm and current"
         )
     parts = sorted(found.components.items(), key=lambda item: -item[1])
-    budget = ", ".join(f"{name} {u * 100:.2g} %" for name, u in parts if u > 0)
+    seen = ROUNDING_PART * parts[0][1] if parts else 0.0
+    budget = ", ".join(f"{name} {u * 100:.2g} %" for name, u in parts if u > seen)
     notes.append(f"standard uncertainty of torque_constant_mean: {budget}")
     slopes = found.slopes
     notes.append(

@@ -55,6 +55,9 @@ part with temperature, relative: on 36 drawn rigs that is 0.21 (rms), 0.45 at mo
 MODEL_OF_FRICTION = "model of friction"
 """Name of the line of a budget that has it."""
 
+LINEARITY = "gauge linearity"
+"""Name of the line of a budget that has it: it does not cancel where two torques are compared."""
+
 LINEARITY_LIMIT = 5e-3
 """Largest deviation of the amplifier from a straight line, relative to the span."""
 
@@ -133,7 +136,7 @@ def calibrate(
         "ripple that few angles hide": relative(_hidden(fit)),
         MODEL_OF_FRICTION: relative(PATH_U * slopes.friction_share**2),
         "gauge resolution": relative(slopes.resolution_u),
-        "gauge linearity": relative(gauge_linearity / math.sqrt(3)),  # GUM 4.3.7
+        LINEARITY: relative(gauge_linearity / math.sqrt(3)),  # GUM 4.3.7
         CURRENT_READING: relative(current_reading_relative_u),
     }
     law = _Law(fit, common, thermometer_u)
@@ -148,6 +151,8 @@ def calibrate(
     low, high = reference_range_degc
     middle = (low + high) / 2 if fit.slope_known else fit.temperature
     mean = law.at(middle)
+    steeper = input_line(LINEARITY, common[LINEARITY], fit.ripple.value)
+    ripple = combined(fit.ripple.value, "1", [*fit.ripple.budget, steeper])
     components = {name: (one.u or 0.0) / one.value for name, one in common.items()}
     components["scatter"] = fit.scatter
     components["ripple over rotor angles"] = fit.turn
@@ -157,7 +162,7 @@ def calibrate(
         coefficient=law.stated(law.coefficient(), "1/K") if fit.slope_known else None,
         mean=law.stated(mean, "N m/A"),
         constant_error=law.constant_error(mean, (low, high)) if fit.slope_known else None,
-        ripple=stated_ripple(fit.ripple, fit.angles, fit.single),
+        ripple=stated_ripple(ripple, fit.angles, fit.single),
         first_ripple=first_ripple(slopes) if fit.angles >= 3 else None,
         temperature=temperature,
         value=value,
@@ -282,6 +287,8 @@ class _Law:
         self._fit = fit
         self._inputs = common | {"staircases": Quantity(fit.value, "N m/A", *fit.value_u)}
         self._relative = np.array([1 / one.value for one in common.values()])
+        # An error of the gauge that grows with the force grows with k: it adds k2, not k.
+        self._of_slope = self._relative * [1 + (name == LINEARITY) for name in common]
         if fit.slope_known:
             self._inputs |= {
                 "slope of the staircases": Quantity(fit.slope, "N m/(A K)", *fit.slope_u),
@@ -292,15 +299,16 @@ class _Law:
     def at(self, temperature: float) -> _Uncertain:
         """Return k at a temperature in degC, N m/A."""
         rise = temperature - self._fit.temperature if self._fit.slope_known else 0.0
-        k = self._fit.value + self._fit.slope * rise
+        change = self._fit.slope * rise
         own = [1.0]
         if self._fit.slope_known:
             own = [1.0 + self._fit.tilt * rise, rise, rise, self._fit.slope]
-        return _Uncertain(k, np.append(k * self._relative, own))
+        common = self._fit.value * self._relative + change * self._of_slope
+        return _Uncertain(self._fit.value + change, np.append(common, own))
 
     def coefficient(self) -> _Uncertain:
         """Return b / k(20 degC), 1/K; the factors that are common to all points cancel."""
-        slope = np.append(self._fit.slope * self._relative, [self._fit.tilt, 1.0, 1.0, 0.0])
+        slope = np.append(self._fit.slope * self._of_slope, [self._fit.tilt, 1.0, 1.0, 0.0])
         return _Uncertain(self._fit.slope, slope).over(self.at(REFERENCE_DEGC))
 
     def stated(self, found: _Uncertain, unit: str) -> Quantity:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.ripple.procedure_steady import steady_samples
+from rigtool.experiments.ripple.procedure_steady import steady_samples, temperature_at_turns
 from rigtool.runfile.schema import CHUNK
 
 
@@ -60,3 +60,31 @@ def test_an_hour_takes_two_looks_at_each_halving_of_its_chunks():
     stored = Stored(np.arange(size) / 8000, 0.5, size / 8000 - 1)
     assert len(steady_samples(stored)) == size - 4000 - 8000
     assert stored.unpacked <= 1 + 2 * (math.ceil(math.log2(3516)) + 1)
+
+
+def test_the_temperature_follows_a_housing_that_warms_exponentially():
+    """Long recordings show more than a line; NaN, and noise, are in between."""
+    time, passed = np.arange(0.0, 760.0, 0.05), 5.0 + 5.0 * np.arange(151)
+    degc = 25 + 30 * (1 - np.exp(-time / 360)) + 0.3 * np.sin(40 * time)
+    degc[::7] = np.nan
+
+    class Warming:
+        def has(self, name):
+            return name == "temperature"
+
+        def blocks(self, *names, finite):
+            assert (names, finite) == (("time", "temperature"), False)
+            yield from zip(np.array_split(time, 4), np.array_split(degc, 4), strict=True)
+
+    true = 25 + 30 * (1 - np.exp(-passed / 360))
+    assert np.abs(temperature_at_turns(Warming(), passed) - true).max() < 0.15
+    two = temperature_at_turns(Warming(), passed[:3])
+    assert np.abs(two - true[:3]).max() < 0.1
+
+
+def test_no_thermometer_shows_no_temperature():
+    class Without:
+        def has(self, name):
+            return False
+
+    assert np.isnan(temperature_at_turns(Without(), np.arange(4.0))).all()

@@ -19,7 +19,7 @@ from rigtool.quantity import CURRENT_READING, Quantity
 def calibration(**changes):
     made = {
         "mean": Quantity(0.045, "N m/A", 1e-5),
-        "components": {"arm length": 1e-3, "scatter": 0.0, "ripple": 2.34e-3},
+        "components": {"arm length": 1e-3, "scatter": 0.0, "ripple": 2.34e-3, "gauge": 1e-18},
         "slopes": SimpleNamespace(heating=0.0123, time_constant=29.04),
         "coefficient": Quantity(-1e-3, "1/K", 1e-5),
         "temperature": np.array([25.0, 48.0]),

@@ -515,7 +515,24 @@ def test_gauge_that_is_not_linear_is_in_the_budget(thesis):
     found = calibrate(plateaus, arm_length=0.54, gauge_linearity=2e-3, **ARM)
     assert_allclose(found.components["gauge linearity"], 2e-3 / np.sqrt(3), rtol=1e-12)
     more = np.hypot(thesis.mean.u / thesis.mean.value, 2e-3 / np.sqrt(3))
-    assert_allclose(found.mean.u / found.mean.value, more, rtol=1e-6)
+    # colder than the middle of the staircases, the force is larger by 0.9 %
+    assert_allclose(found.mean.u / found.mean.value, more, rtol=0.01)
+
+
+def test_a_gauge_that_reads_more_at_large_forces_changes_coefficient_and_ripple(thesis):
+    """A torque that is larger by 1 % then reads larger by more."""
+    bench, part = Bench(), 0.02
+    signals = bench.record()
+    signals["force"] = signals["force"] * (1 + part * signals["force"] / signals["force"].max())
+    plateaus = plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08)
+    found = calibrate(plateaus, arm_length=0.54, gauge_linearity=part, **ARM)
+    for name in ("mean", "coefficient", "ripple"):
+        bent, right = getattr(found, name), getattr(thesis, name)
+        off = bent.value / right.value - 1
+        assert_allclose(off, part, atol=0.4 * part, rtol=0)  # a part bends the staircase
+        assert off * abs(right.value) < 2 * bent.u
+        line = next(line for line in bent.budget if line.name == "gauge linearity")
+        assert_allclose(line.contribution / abs(bent.value), part / np.sqrt(3), rtol=0.05)
 
 
 def test_one_temperature_carries_no_coefficient():
