@@ -16,9 +16,7 @@ from rigtool.numerics.minimum import minimum
 @given(bottom=st.floats(1e-6, 1e6), width=st.floats(0.1, 5.0))
 @settings(max_examples=50, deadline=None)
 def test_bottom_of_a_valley_is_found(bottom, width):
-    found = minimum(
-        lambda x: (math.log(x / bottom) / width) ** 2, bottom / 300, bottom * 70, points=12
-    )
+    found = minimum(lambda x: (math.log(x / bottom) / width) ** 2, bottom / 300, bottom * 70)
     assert_allclose(found, bottom, rtol=2e-3)
 
 

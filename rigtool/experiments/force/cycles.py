@@ -17,6 +17,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -76,8 +77,7 @@ class Normality:
     p: float
 
 
-@dataclass(frozen=True)
-class Peak:
+class Peak(NamedTuple):
     """Top of a curve: angle in rad, torque in N m."""
 
     angle: float
@@ -264,14 +264,8 @@ def find_peak(angle: ArrayLike, torque: ArrayLike) -> Peak:
 
 def peaks(angle: Array, up: Array, down: Array) -> Peaks:
     """Find the peak of each rising (n, m) and falling (n, m) stroke over `angle` (m,)."""
-    lifting = [find_peak(angle, curve) for curve in up]
-    lowering = [find_peak(angle, curve) for curve in down]
-    return Peaks(
-        np.array([peak.angle for peak in lifting]),
-        np.array([peak.torque for peak in lifting]),
-        np.array([peak.angle for peak in lowering]),
-        np.array([peak.torque for peak in lowering]),
-    )
+    lifting, lowering = (np.array([find_peak(angle, c) for c in curves]) for curves in (up, down))
+    return Peaks(*lifting.T, *lowering.T)
 
 
 def _turning_points(p: Array, bounds: list[int]) -> list[int]:

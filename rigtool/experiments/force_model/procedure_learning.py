@@ -130,7 +130,8 @@ def learn_force(
     uncertainty = ForceModel(sliding.learned, deviating).uncertainty
     resting = _motion(signals, own)
     under = _condition(recipe, kt, warm, 0.0)
-    turning = _as_long(resting, sorted(switched, key=_speed)[:1], recipe, under)
+    slow_moves = sorted(switched, key=lambda r: r.condition("speed"))[:1]
+    turning = _as_long(resting, slow_moves, recipe, under)
     found = learn_rest(sliding.learned, [resting, *turning], uncertainty)
     if moves:
         least = TURNING_SPEED_RATIO * max(r.condition("speed") for r in moves)
@@ -155,11 +156,6 @@ def learn_force(
     # Faster motion with smaller errors must not lower the thresholds of slow motion
     limits = np.maximum(thresholds(tried), thresholds(tried[: 1 + len(slow)]))
     return LearnedForce(replace(model, limits=limits), sliding, loaded, scatter, seen is not None)
-
-
-def _speed(recording: Recording) -> float:
-    """Return the speed of moves, rad/s of the motor."""
-    return recording.condition("speed")
 
 
 def _as_long(

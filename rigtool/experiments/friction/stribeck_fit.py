@@ -324,7 +324,7 @@ def _stribeck(points: _Points, exponent: float) -> DirectionFit | None:
 
     # The model is linear in all parameters but vs.
     slowest, fastest = v.min() / 3, v.max() / 3
-    vs = minimum(misfit, slowest, fastest, points=25)
+    vs = minimum(misfit, slowest, fastest)
     coulomb, viscous, static = points.solve(_columns(points, vs, exponent))
     bump, slope = (static - coulomb) * np.array(peak(v, vs, exponent, swing))
     design = np.column_stack([_columns(points, vs, exponent), slope])

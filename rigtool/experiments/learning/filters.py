@@ -35,12 +35,8 @@ UNIT_CIRCLE_MARGIN = 1e-9
 class Inverse(Protocol):
     """A learning filter L, designed in either way."""
 
-    @property
-    def advance(self) -> int:
-        """Samples by which L is advanced in time."""
-
     def response(self, frequency: Array, *, shifted: bool = True) -> ComplexArray:
-        """Return L (n,) at these frequencies, Hz; without `advance` where not `shifted`."""
+        """Return L (n,) at these frequencies, Hz; before its advance where not `shifted`."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -91,7 +91,6 @@ class InverseResponse:
     """
 
     measured: MeasuredLoop
-    advance: int = 0
 
     @property
     def last_line(self) -> float:

@@ -9,7 +9,14 @@ import numpy as np
 from rigtool.control.plant_models import PlantModel
 from rigtool.control.position_loop import Loop, TransferFunction, position_loop
 from rigtool.errors import InsufficientDataError, RecipeError, RunFileError, UsageError
-from rigtool.experiments.learning.filters import Convergence, Inverse, Learning, convergence, zpetc
+from rigtool.experiments.learning.filters import (
+    Convergence,
+    Inverse,
+    Learning,
+    LearningFilter,
+    convergence,
+    zpetc,
+)
 from rigtool.experiments.learning.measured_loop import InverseResponse, MeasuredLoop
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
@@ -54,7 +61,7 @@ class FilterDesign:
                     criterion.bound_frequency, "Hz", reason=IS_BOUND
                 ),
             }
-        if not isinstance(self.learning.inverse, InverseResponse):
+        if isinstance(self.learning.inverse, LearningFilter):
             results["zpetc_phase_advance"] = Quantity(
                 float(self.learning.inverse.advance), "1", reason="a whole number of samples"
             )

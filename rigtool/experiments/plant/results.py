@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rigtool.control.position_loop import TransferFunction, position_loop
+from rigtool.control.position_loop import position_loop
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.plant.fit import MIN_COHERENCE, PlantFit
 from rigtool.experiments.plant.frequency_response import FrequencyResponse
@@ -33,11 +33,6 @@ TABLE_POINTS = 200
 NOT_CALIBRATED = (
     "the torque constant is the data sheet's, whose uncertainty is not known: give --kt"
 )
-
-
-def controller(recipe: Recipe) -> TransferFunction:
-    """Return the recipe's controller, which is designed for the nominal inertia."""
-    return position_loop(**recipe.rig.loop_design).controller
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +199,7 @@ class _Loop:
 
     def __init__(self, found: IdentifiedPlant, recipe: Recipe) -> None:
         self._found = found
-        self._controller = controller(recipe)
+        self._controller = position_loop(**recipe.rig.loop_design).controller
         self._half_rate = 0.5 / recipe.rig.sample_time
         low = found.response.frequency[0] / 4
         self.frequency = np.geomspace(low, 0.999 * self._half_rate, TABLE_POINTS)

@@ -142,7 +142,6 @@ def test_the_inverse_response_inverts_up_to_the_last_line_and_ends_smoothly():
     gain = np.abs(inverse.response(fine) * loop.complementary_sensitivity(fine))
     assert np.abs(np.diff(gain)).max() < 0.002
     np.testing.assert_array_equal(inverse.response(AXIS), inverse.response(AXIS, shifted=False))
-    assert inverse.advance == 0
 
 
 def test_the_inverse_response_learns_what_the_rigid_model_cannot():

@@ -209,13 +209,14 @@ class TargetEmulator(Emulator):
         self.rig = VirtualRig(recipe, setup.torque_constant, setup.use)
 
     def _arm(self, payload: bytes) -> bytes:
-        every, stop_angle, mask, streams = link.ARM.unpack(payload)
+        every, angle, mask, streams = link.ARM.unpack(payload)
         if every == 0 or mask & ~link.mask_of(self._channels) or not mask & 1:
             raise Refused("ARM asks for unknown channels, or every 0th sample")
         self._uploads.require_motion()
         virtual = self._recipe.virtual
         touched = virtual is not None and bool(virtual.contact)
-        self._task = task = self._uploads.task(every, link.stop_angle(stop_angle), touched=touched)
+        stop_angle = None if math.isnan(angle) else angle
+        self._task = task = self._uploads.task(every, stop_angle, touched=touched)
         self._limits = self._uploads.limits()
         if task.motion.duration > self._limits.duration:
             raise Refused(

@@ -6,7 +6,6 @@ The link is specified in docs/target-link.md; all numbers are little-endian, flo
 from __future__ import annotations
 
 import enum
-import math
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -353,8 +352,3 @@ def _unpack(layout: struct.Struct, payload: bytes) -> tuple[Any, ...]:
     if len(payload) < layout.size:
         raise DamagedReply(f"{len(payload)} bytes where at least {layout.size} belong")
     return layout.unpack_from(payload)
-
-
-def stop_angle(value: float) -> float | None:
-    """Return the stop angle of ARM: NaN means none."""
-    return None if math.isnan(value) else value
