@@ -23,7 +23,6 @@ from rigtool.experiments.torque_constant.staircases.fit import (
     _trend_scatter,
     fit_staircases,
 )
-from rigtool.experiments.torque_constant.staircases.levels import off_trend
 from rigtool.experiments.torque_constant.staircases.mean_staircases import MeanStaircases
 from rigtool.experiments.torque_constant.staircases.model import HEATING_TIME, Common, arrange
 from rigtool.experiments.torque_constant.staircases.plateaus import (
@@ -31,6 +30,7 @@ from rigtool.experiments.torque_constant.staircases.plateaus import (
     amplifier_linearity,
     plateaus_of_set_point,
 )
+from rigtool.experiments.torque_constant.staircases.swings import mean_courses
 from rigtool.experiments.torque_constant.temperature_fit import (
     Calibration,
     _fit_temperature,
@@ -205,8 +205,7 @@ def test_scatter_of_a_change_with_temperature_is_that_of_noise_on_the_plateaus()
     trend = rise / (rise @ rise)
     common = Common(30e-3 * bench.stiffness, 1.0, None, bench.time_constant)
     friction = MeanStaircases(stairs, bench.coefficient, trend).friction_of_each(common)
-    changes = rise, off_trend(stairs, rise)
-    solution = _solve(stairs, bench.time_constant, friction, bench.coefficient, changes)
+    solution = _solve(stairs, bench.time_constant, friction, bench.coefficient, rise)
     noise = (
         2e-4
         * 0.54
@@ -223,33 +222,43 @@ def test_scatter_of_a_change_with_temperature_is_that_of_noise_on_the_plateaus()
     assert _trend_scatter(stairs, solution, trend, 2 * beyond) == 0.0
 
 
-def test_friction_follows_the_ripple_as_the_staircases_show():
-    """Not as a hypothesis says under which larger swings undo most of what friction holds."""
+def test_what_a_step_leaves_of_lagging_ripple_is_no_friction():
+    """Where contacts hardly slide, friction that grew with the ripple would take it for its own."""
     bench = Bench(saturation=0.0)
     stairs = arrange(plateaus_of_set_point(**bench.record((20,)), arm_length=0.54, settle_time=0.1))
     turn = 0.01 * np.cos(2 * stairs.rotor_angle)
     rising = np.diff(stairs.setpoint, axis=1, prepend=-1.0) > 0
-    loop = np.where(rising, -1.0, 1.0) * np.minimum(stairs.current, 1.0)
-    held = 2e-3 * (1 + 0.5 * turn)[:, None] * loop
-    level = 0.05 * (1 + turn)[:, None] * stairs.current
-    stairs = replace(stairs, torque=level + held, temperature=0 * stairs.temperature + 20.0)
-    said = loop * (1 + 4 * turn)[:, None]
+    loop = stairs.setpoint - 0.05 * np.where(rising, 1.0, -1.0) * stairs.setpoint**2
     begun = np.exp(-np.arange(loop.shape[1])) + 0.0 * loop
-
-    def off(ripple):
-        changes = np.zeros(len(turn)), ripple
-        solution = _solve(stairs, 20.0, (said, begun), 0.0, changes)
-        return np.abs(solution.slope / 0.05 - 1 - turn).max(), solution
-
-    exact, solution = off(off_trend(stairs, np.zeros(len(turn))))
-    assert off(np.zeros(len(turn)))[0] > 10 * exact
-    # noise in friction's change is a common factor of the ripple in the slopes, and in its u
+    steps = np.diff(stairs.setpoint, axis=1, prepend=0.0)
+    level = 0.05 * ((1 + turn)[:, None] * stairs.setpoint - 0.01 * turn[:, None] * steps)
+    torque = level - 2e-3 * loop
+    courses = mean_courses(
+        stairs.setpoint,
+        torque,
+        np.repeat(torque[:, :, None], 16, axis=2),
+        np.full(torque.shape, 0.4),
+        np.full(len(turn), 20.0),
+        noise=1e-9,
+    )
+    stairs = replace(
+        stairs,
+        torque=torque,
+        current=stairs.setpoint,
+        temperature=0 * torque + 20.0,
+        courses=courses,
+    )
+    solution = _solve(stairs, 20.0, (-loop, begun), 0.0, np.zeros(len(turn)))
     weight = turn / (turn @ turn)
-    noise = 1e-4 * np.random.default_rng(2).standard_normal((300, *stairs.torque.shape))
+    assert_allclose(weight @ solution.slope, 0.05, rtol=1e-3)
+    blind = replace(stairs, courses=replace(courses, score=0 * courses.score))
+    without = _solve(blind, 20.0, (-loop, begun), 0.0, np.zeros(len(turn)))
+    assert np.abs(solution.fit.residual).max() < 0.05 * np.abs(without.fit.residual).max()
+    # what noise gives the slopes in proportion to the ripple is a common factor of it, and in its u
+    noise = 1e-4 * np.random.default_rng(2).standard_normal((300, *torque.shape))
     scattered = np.std([weight @ solution.fit.solve(each)[0][:, 0] for each in noise])
-    noisy = replace(stairs, torque=stairs.torque + noise[0])
-    changes = np.zeros(len(turn)), turn
-    found = _solve(noisy, 20.0, (said, begun), 0.0, changes)
+    noisy = replace(stairs, torque=torque + noise[0])
+    found = _solve(noisy, 20.0, (-loop, begun), 0.0, np.zeros(len(turn)))
     both = np.hypot(_trend_scatter(noisy, found, weight, 0.0), np.linalg.norm(weight * found.u))
     assert_allclose(both, scattered, rtol=0.3)
 

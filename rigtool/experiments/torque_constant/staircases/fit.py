@@ -126,7 +126,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     hypotheses = weigh_hypotheses(stairs, coefficient, trend)
     stairs, best = hypotheses.means.stairs, hypotheses.weighed.best
     friction = hypotheses.means.friction_of_each(best)
-    solution = _solve(stairs, best.time_constant, friction, coefficient, (rise, ripple))
+    solution = _solve(stairs, best.time_constant, friction, coefficient, rise)
     lasting, lasting_u = loss_by_heat(hypotheses)
     constant = hypotheses.constant
     share = abs(straight_slope(stairs) / constant - 1 + solution.heating)
@@ -216,24 +216,26 @@ def _solve(
     time_constant: float,
     friction: tuple[Array, ...],
     coefficient: float,
-    changes: tuple[Array, Array],
+    rise: Array,
 ) -> _Solution:
     """Solve (1), linear in all that is left, for all staircases.
 
     Each has a slope, a zero and a state of the friction at its beginning of its own; what a
     step leaves behind and friction, with columns `friction` (m, p), are common to all. Friction may
-    change with both `changes` (m,): the temperature in K, and the ripple, as the swings that
-    contacts make of a larger torque follow from their law, of which the mean staircase shows little
-    where they hardly slide.
+    change with the temperature, of which each has `rise` (m,) K. What a step leaves of ripple that
+    lags is common to all, too, in proportion to that step of the ripple: it would pass for friction
+    that grows with the ripple.
     """
     heat, warmth = winding(stairs, time_constant)
     temperature = mean_of(warmth, stairs.weight)
     # The loss of the constant by a kelvin is the same at all temperatures, not its relative loss.
-    size = (1 + coefficient * changes[0])[:, None]
+    size = (1 + coefficient * rise)[:, None]
     current = stairs.current * (1 + coefficient / size * (warmth - temperature[:, None]))
     own = [stairs.weight, *friction[1:]]
-    changed = [change[:, None] * a for a in friction[:1] for change in changes]
-    shared = [stairs.last_step, *friction[:1], *changed]
+    shared = [stairs.last_step]
+    if friction:
+        left = stairs.courses.ripple_steps() * stairs.weight
+        shared += [friction[0], rise[:, None] * friction[0], left]
     warmed = _LeastSquares(stairs.torque, [current, current * heat / size, *own], shared)
     loss, loss_u, loss_dof = _heat_loss(stairs, warmed)
     current = current * (1 - loss * heat / size)

@@ -71,6 +71,11 @@ class Courses:
         torque = self.torque[self.kind] + change
         return torque, course + self.swing_change, course + self.at_once
 
+    def ripple_steps(self) -> Array:
+        """Return what ripple adds to each step of the torque (m, p), N m; 0 on average."""
+        torque = np.einsum("mr,mrp->mp", self.score[:, 1:], self.torque_rate[self.kind, 1:])
+        return np.diff(torque, prepend=torque[:, :1])
+
     def less(self, torque: Array, rate: Array) -> Courses:
         """Return the courses without parts (g, p) of their torques and (g, r, p) of the rates."""
         return replace(
