@@ -14,6 +14,7 @@ from drawn_rigs import (
     coulomb,
     far,
     grid,
+    many_orders,
     moving,
     moving_excited,
     moving_far,
@@ -143,9 +144,9 @@ def calibrate_kt() -> Iterator[Design]:
     }
     draws: dict[str, Draw] = {
         "8 x 7": near,
-        "4 x 3": also(near, grid(4, 20, 30, 40)),
+        "4 x 3": also(many_orders, grid(4, 20, 30, 40)),
         "3 x 2": also(near, grid(3, 20, 50)),
-        "2 x 7": also(near, grid(2, 20, 25, 30, 35, 40, 45, 50)),
+        "2 x 7": also(many_orders, grid(2, 20, 25, 30, 35, 40, 45, 50)),
         "6 x 4": also(near, grid(6, 20, 30, 40, 50)),
         "1 A": also(near, some | {"calibrate_kt.current_max": 1.0}),
         "friction x 4": also(near, some | coulomb(4)),

@@ -11,6 +11,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from rigtool.numerics.angle_effects import HIGHEST_ORDER, LOWEST_ORDER
+
 Settings = dict[str, object]
 Draw = Callable[[np.random.Generator], Settings]
 """Settings of one rig."""
@@ -53,6 +55,26 @@ def ripple(rng: np.random.Generator, amplitude: float) -> str:
     orders = rng.choice(np.arange(1, 7), size=rng.integers(1, 5), replace=False)
     rows = (f"{{order={order}, amplitude={spread(rng, 0.3, 2) * amplitude}}}" for order in orders)
     return f"[{', '.join(rows)}]"
+
+
+def many_orders(rng: np.random.Generator) -> Settings:
+    """Draw a rig like the thesis's whose amplifier has all orders up to one of 4 to 12.
+
+    That is what `rigtool.numerics.angle_effects` assumes of orders that no angle shows; where all
+    rigs end at order six, none has what eight angles hide.
+    """
+    drawn, highest = near(rng), int(rng.integers(LOWEST_ORDER, HIGHEST_ORDER + 1))
+
+    def orders(amplitude: float) -> str:
+        sizes = rng.rayleigh(spread(rng, 0.3, 2) * amplitude / math.sqrt(highest), highest)
+        rows = (f"{{order={k}, amplitude={size}}}" for k, size in enumerate(sizes, 1))
+        return f"[{', '.join(rows)}]"
+
+    amplifier = "virtual.amplifier."
+    return drawn | {
+        amplifier + "gain_ripple": orders(0.0035),
+        amplifier + "saturation_ripple": orders(0.0015),
+    }
 
 
 def far(rng: np.random.Generator) -> Settings:

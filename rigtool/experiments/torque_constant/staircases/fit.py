@@ -15,6 +15,7 @@ from rigtool.experiments.torque_constant.staircases.gauge_rounding import (
     spread_over_zeros,
 )
 from rigtool.experiments.torque_constant.staircases.hypotheses import loss_by_heat, weigh_hypotheses
+from rigtool.experiments.torque_constant.staircases.least_squares import LeastSquares
 from rigtool.experiments.torque_constant.staircases.levels import (
     branches,
     deflection,
@@ -126,7 +127,8 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     hypotheses = weigh_hypotheses(stairs, coefficient, trend)
     stairs, best = hypotheses.means.stairs, hypotheses.weighed.best
     friction = hypotheses.means.friction_of_each(best)
-    solution = _solve(stairs, best.time_constant, friction, coefficient, rise)
+    given = stairs, best.time_constant, friction, coefficient, rise
+    solution, steady = _solve(*given), _solve(*given, steady=True)
     lasting, lasting_u = loss_by_heat(hypotheses)
     constant = hypotheses.constant
     share = abs(straight_slope(stairs) / constant - 1 + solution.heating)
@@ -138,7 +140,13 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     if resolution_u > COARSE * abs(constant):
         moved_u = spread_over_zeros(plateaus, stairs, fitted + errors[::2], coefficient, trend)
     u, dof = _lack_of_fit(stairs, solution, average, resolution_u)
-    trend_u = _trend_scatter(stairs, solution, trend, trend_resolution_u)
+    trends = [trend @ each.slope for each in (solution, steady)]
+    trend_us = [
+        math.hypot(_trend_scatter(stairs, each, trend, trend_resolution_u), drift)
+        for each, drift in ((solution, hypotheses.drift), (steady, hypotheses.steady_drift))
+    ]
+    changes = _friction_changes(stairs, solution, steady, trend)
+    moved, trend_u = _either(changes, trends, trend_us)
     in_ripple = ripple / max(float(ripple @ ripple), TINY)
     require_dithered(stairs, solution.fit.residual)
     require_straight(stairs, solution.slope, solution.u, solution.fit.residual, solution.off_line)
@@ -147,7 +155,9 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     difference, hysteresis_u, hysteresis_dof = hysteresis(stairs, solution.off_line)
     return Slopes(
         # Single staircases differ from their mean; what the mean is, all hypotheses say.
-        slope=solution.slope + (constant - float(np.mean(solution.slope))),
+        slope=solution.slope
+        + (constant - float(np.mean(solution.slope)))
+        + rise * (moved - trends[0]),
         first=solution.first,
         first_u=solution.first_u,
         zero=solution.fit.own[:, 1],
@@ -168,7 +178,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         friction_share=share,
         resolution_u=max(resolution_u, moved_u) / constant,
         rounding=rounding,
-        trend_u=math.hypot(trend_u, hypotheses.drift, trend_resolution_u),
+        trend_u=math.hypot(trend_u, trend_resolution_u),
         ripple_u=_trend_scatter(stairs, solution, in_ripple, 0.0) / abs(constant),
         transition=best.transition,
         exponent=best.exponent,
@@ -207,7 +217,7 @@ class _Solution:
     heating_dof: float
     loss: float
     loss_u: float
-    fit: _LeastSquares
+    fit: LeastSquares
     off_line: Array
 
 
@@ -217,14 +227,16 @@ def _solve(
     friction: tuple[Array, ...],
     coefficient: float,
     rise: Array,
+    *,
+    steady: bool = False,
 ) -> _Solution:
     """Solve (1), linear in all that is left, for all staircases.
 
     Each has a slope, a zero and a state of the friction at its beginning of its own; what a
     step leaves behind and friction, with columns `friction` (m, p), are common to all. Friction may
-    change with the temperature, of which each has `rise` (m,) K. What a step leaves of ripple that
-    lags is common to all, too, in proportion to that step of the ripple: it would pass for friction
-    that grows with the ripple.
+    change with the temperature, of which each has `rise` (m,) K; `steady` friction does not. What a
+    step leaves of ripple that lags is common to all, too, in proportion to that step of the ripple:
+    it would pass for friction that grows with the ripple.
     """
     heat, warmth = winding(stairs, time_constant)
     temperature = mean_of(warmth, stairs.weight)
@@ -235,14 +247,15 @@ def _solve(
     shared = [stairs.last_step]
     if friction:
         left = stairs.courses.ripple_steps() * stairs.weight
-        shared += [friction[0], rise[:, None] * friction[0], left]
-    warmed = _LeastSquares(stairs.torque, [current, current * heat / size, *own], shared)
+        shared += [friction[0], left]
+        shared += [] if steady else [rise[:, None] * friction[0]]
+    warmed = LeastSquares(stairs.torque, [current, current * heat / size, *own], shared)
     loss, loss_u, loss_dof = _heat_loss(stairs, warmed)
     current = current * (1 - loss * heat / size)
     bend, first, first_u, u, dof = _bend(stairs, current, own, shared)
     top = float(np.max(np.abs(current)))
     level = stairs.torque - bend[:, None] * current * np.abs(current)
-    fit = _LeastSquares(level, [current, *own], shared)
+    fit = LeastSquares(level, [current, *own], shared)
     share = float(np.mean(np.sum(fit.inverse[:, 0] * current * heat / size, axis=1)))
     slope = fit.own[:, 0] + top * bend
     return _Solution(
@@ -273,7 +286,7 @@ def _bend(
     is no scatter. Over all angles it is zero on average.
     """
     curved, top = current * np.abs(current), float(np.max(np.abs(current)))
-    bent = _LeastSquares(stairs.torque, [current, curved, *own], shared)
+    bent = LeastSquares(stairs.torque, [current, curved, *own], shared)
     sigma, dof = _scatter(stairs, bent)
     first = sigma * np.sqrt(np.sum(bent.inverse[:, 0] ** 2, axis=1))
     inverse = np.linalg.pinv(np.stack([current, *own], axis=2))[:, 0]
@@ -283,7 +296,7 @@ def _bend(
     return bent.own[:, 1] - bent.own[:, 1].mean(), bent.own[:, 0], first, u, dof
 
 
-def _scatter(stairs: Stairs, fit: _LeastSquares) -> tuple[float, int]:
+def _scatter(stairs: Stairs, fit: LeastSquares) -> tuple[float, int]:
     """Return by how much torques differ beyond what all staircases of a kind have in common, N m,
     and the degrees of freedom. What they have in common is lack of fit, stated on its own."""
     square, free = 0.0, 0.0
@@ -299,35 +312,7 @@ def _scatter(stairs: Stairs, fit: _LeastSquares) -> tuple[float, int]:
     return math.sqrt(square / free), int(free)
 
 
-class _LeastSquares:
-    """Torque (m, p) as columns of each staircase, and shared ones with a coefficient for all."""
-
-    def __init__(self, torque: Array, own: list[Array], shared: list[Array]) -> None:
-        self.design = np.mean(np.stack([*own, *shared[:2]], axis=2), axis=0)
-        columns, common = np.stack(own, axis=2), np.stack(shared, axis=2)
-        self.inverse = np.linalg.pinv(columns)  # (m, c, p)
-        self._shared, self._free = common, common - columns @ (self.inverse @ common)
-        normal = np.einsum("mpc,mpd->cd", self._free, self._free)
-        self._normal = np.linalg.pinv(normal, hermitian=True)
-        self.own, rest = self.solve(torque)
-        self.residual = rest - np.einsum("mpc,mc->mp", columns, self.own)
-        self.parameters = self.own.size + common.shape[2]
-
-    def solve(self, torque: Array) -> tuple[Array, Array]:
-        """Return coefficients (m, c) of each staircase, and torques (m, p) less what is shared."""
-        shared = self._normal @ np.einsum("mpc,mp->c", self._free, torque)
-        rest = torque - self._shared @ shared
-        return np.einsum("mcp,mp->mc", self.inverse, rest), rest
-
-    def response(self, weight: Array) -> Array:
-        """Return what each torque (m, p) adds to the sum of slopes weighted by (m,)."""
-        direct = weight[:, None] * self.inverse[:, 0]
-        through = self._normal @ np.einsum("mp,mpc->c", direct, self._shared)
-        response: Array = direct - self._free @ through
-        return response
-
-
-def _heat_loss(stairs: Stairs, warmed: _LeastSquares) -> tuple[float, float, float]:
+def _heat_loss(stairs: Stairs, warmed: LeastSquares) -> tuple[float, float, float]:
     """Return g of (1), its standard uncertainty, 1/(A2 s), and degrees of freedom.
 
     The first columns of `warmed` are those of k and k g of each staircase. The uncertainty is that
@@ -369,6 +354,31 @@ def _lack_of_fit(
     covariance, dof = long_run_covariance(fit.design, combined, independent)
     own = float(np.sum((weight * solution.u) ** 2)) + rounding_u**2
     return math.sqrt(max(float(covariance[0, 0]) - own, 0.0)), float(dof)
+
+
+def _friction_changes(
+    stairs: Stairs, changing: _Solution, steady: _Solution, trend: Array
+) -> float:
+    """Return the probability that friction changes with the temperature.
+
+    Beforehand, both are as probable; a change is as wide as a single residual shows it (R. E. Kass,
+    L. Wasserman, J. Am. Stat. Assoc. 90, 928, 1995). `trend` (m,) combines the staircases.
+    """
+    used = np.mean(stairs.weight, axis=0) > 0
+    free, tied = ((trend @ each.fit.residual)[used] for each in (changing, steady))
+    every = independent_samples(free, np.full(len(free), True), 1)
+    count = every * max(1 - changing.fit.design.shape[1] / len(free), 1 / len(free))
+    ratio = max(float(free @ free), TINY) / max(float(tied @ tied), TINY)
+    return 1 / (1 + math.sqrt(1 + every) * min(ratio, 1.0) ** (count / 2))
+
+
+def _either(probability: float, values: list[float], us: list[float]) -> tuple[float, float]:
+    """Return mean and standard deviation of the first of two alternatives, which has this
+    `probability`, or the second."""
+    first, second = values
+    mean = second + probability * (first - second)
+    square = probability * us[0] ** 2 + (1 - probability) * us[1] ** 2
+    return mean, math.sqrt(square + probability * (1 - probability) * (first - second) ** 2)
 
 
 def _trend_scatter(stairs: Stairs, solution: _Solution, trend: Array, rounding_u: float) -> float:

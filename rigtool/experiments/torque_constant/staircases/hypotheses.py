@@ -73,9 +73,9 @@ class Weighed:
     """Hypotheses (n,), the `best` of them, and what gives each its probability.
 
     `volume` (n,) is the part of the grid that each represents, `square` (n,) is Q, `independent`
-    the number of independent residuals. `slope` (n, 3) has the mean of the torque constants, N m/A,
-    their change with temperature, N m/(A K), and the loss by heat within `HEATING_TIME` over the
-    square of the current, 1/A2.
+    the number of independent residuals. `slope` (n, 4) has the mean of the torque constants, N m/A,
+    their change with temperature, N m/(A K), the loss by heat within `HEATING_TIME` over the
+    square of the current, 1/A2, and the change with temperature if friction does not change.
     """
 
     best: Common
@@ -98,7 +98,7 @@ class Hypotheses:
 
     The courses of `means` are without noise. `constant` in N m/A is the mean of all hypotheses,
     `spread` their standard deviation, `drift` in N m/(A K) that of the constants' change with
-    temperature.
+    temperature if friction changes, too, `steady_drift` if it does not.
     """
 
     means: MeanStaircases
@@ -106,6 +106,7 @@ class Hypotheses:
     constant: float
     spread: float
     drift: float
+    steady_drift: float
 
 
 def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypotheses:
@@ -132,7 +133,7 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
     probable = found.probable()
     mean = probable @ found.slope
     spread = np.sqrt(probable @ ((found.slope - mean) ** 2 + found.variance))
-    return Hypotheses(means, found, float(mean[0]), float(spread[0]), float(spread[1]))
+    return Hypotheses(means, found, float(mean[0]), *spread[[0, 1, 3]].tolist())
 
 
 def weighed(means: MeanStaircases, ways: list[tuple[float, float] | None]) -> Weighed:
@@ -142,7 +143,7 @@ def weighed(means: MeanStaircases, ways: list[tuple[float, float] | None]) -> We
     # Half a normal distribution as wide as one residual leaves the loss by heat, of each kind.
     shows = (2 / math.sqrt(1 + count / means.kinds)) ** means.kinds
     volume = (tried.volume * tried.warms)[:, None] * np.array([1.0, shows])
-    slope, variance = (each.reshape(-1, 3) for each in (tried.slope, tried.variance))
+    slope, variance = (each.reshape(-1, each.shape[-1]) for each in (tried.slope, tried.variance))
     best = tried.best(count)
     return Weighed(best, volume.ravel(), tried.square.ravel(), count, slope, variance)
 
@@ -154,7 +155,7 @@ class _Tried:
 
     `volume` (n,) is the part of the grid that each represents, `warms` (n,) the likelihood of its
     tau by the thermometer, `free` (n, 2) whether it has no friction, `square` (n, 2) is Q, `slope`
-    (n, 2, 3) the mean of the torque constants, their change with temperature, and the loss by heat.
+    (n, 2, 4) what `Weighed` has.
     """
 
     place: Array

@@ -143,8 +143,9 @@ class MeanStaircases:
     def try_all(self, axes: list[Array]) -> tuple[Array, Array, Array, Array]:
         """Return what all hypotheses of a grid leave, each without a loss by heat and with one.
 
-        That is where they have no friction (n, 2), their Q (n, 2), slopes (n, 2, 3) and variances
-        of these by what is possible for friction: mean, trend, loss by heat.
+        That is where they have no friction (n, 2), their Q (n, 2), slopes (n, 2, 4) and variances
+        of these by what is possible for friction: mean, trend, loss by heat, and the trend with
+        friction that does not change.
         """
         transition, tau, exponents = (np.exp(axis) for axis in axes[:3])
         lags: list[float | None] = [None]
@@ -169,7 +170,7 @@ class MeanStaircases:
 
     def _fit(self, current: Array, lost: Array, friction: Sequence[Array]) -> tuple[Array, ...]:
         """Return, without a loss by heat and with one, where least squares find no friction (s, 2),
-        Q (s, 2), slopes (s, 2, 3) and their variances (s, 2, 3)."""
+        Q (s, 2), slopes (s, 2, 4) and their variances (s, 2, 4)."""
         both = [self._fit_columns(current, heat, friction) for heat in ([], [lost])]
         return tuple(np.stack(parts, axis=1) for parts in zip(*both, strict=True))
 
@@ -190,9 +191,16 @@ class MeanStaircases:
         logarithm = left.logarithm
         level = found[..., 0] @ self._share
         # The ripple's i |i| averages out over angles; as a column it would take most of the slope.
-        found = (inverse[..., :-1, :-1] @ projected[..., :-1, :])[..., :-2, :]
+        inverse = inverse[..., :-1, :-1]
+        found = inverse @ projected[..., :-1, :]
+        # Heat takes as much of the constant at all temperatures; friction may change with them.
+        heat = [3] if lost else []
+        trend, steady = (
+            np.sum(_without(inverse, found[..., 1], tied), axis=1) for tied in (heat, [*heat, -2])
+        )
+        found = found[..., :-2, :]
         # All else follows what is possible for friction.
-        others = inverse[..., :-3, :-3]
+        others = inverse[..., :-2, :-2]
         follows = -others @ r[..., :-3, -3:-1]
         found[..., 0] += np.einsum("sgcf,sgf->sgc", follows, left.shift)
         varied = np.einsum("sgcf,sgfh,sgdh->sgcd", follows, left.covariance, follows)
@@ -205,8 +213,8 @@ class MeanStaircases:
         square = square * (1 - 2 * logarithm.sum(axis=1) / self.dof)
         square = np.where(level > LARGEST_FRICTION * self._span, np.inf, square)
         mean = found[..., 0, 0] @ self._share
-        slope, spread = np.zeros((2, len(mean), 3))
-        slope[:, 0], slope[:, 1] = mean, np.sum(found[..., 0, 1], axis=1)
+        slope, spread = np.zeros((2, len(mean), 4))
+        slope[:, 0], slope[:, 1], slope[:, 3] = mean, trend, steady
         spread[:, 0] = varied[..., 0, 0] @ self._share**2
         if lost:
             slope[:, 2] = -(found[..., 3, 0] @ self._share) / mean
@@ -293,6 +301,15 @@ class MeanStaircases:
         """Return how many independent residuals a hypothesis leaves, less its parameters."""
         residual, used = self.residual(common), self._weight.ravel() > 0
         return independent_samples(residual, used, 1) - PARAMETERS * self.kinds
+
+
+def _without(inverse: Array, found: Array, known: list[int]) -> Array:
+    """Return the first of the parameters (s, g, c) that least squares find with inverse triangles
+    (s, g, c, c), if those `known` are zero."""
+    cover = inverse[..., [0, *known], :] @ np.swapaxes(inverse[..., known, :], 2, 3)
+    moved = np.linalg.solve(cover[..., 1:, :], found[..., known, None])
+    rest: Array = found[..., 0] - (cover[..., :1, :] @ moved)[..., 0, 0]
+    return rest
 
 
 def left_by(columns: list[Array], torque: Array) -> Array:

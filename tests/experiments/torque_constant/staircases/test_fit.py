@@ -12,9 +12,9 @@ from rigtool.experiments.torque_constant.staircases.fit import (
     _bend,
     _heat_loss,
     _lack_of_fit,
-    _LeastSquares,
     _scatter,
 )
+from rigtool.experiments.torque_constant.staircases.least_squares import LeastSquares
 from rigtool.numerics.residual_covariance import independent_samples, long_run_covariance
 
 M, P = 4, 12
@@ -37,7 +37,7 @@ def test_it_is_one_fit_with_the_columns_of_each_staircase_and_shared_ones():
     random = np.random.default_rng(1)
     own, common = [CURRENT, ONES], shared(random)
     torque = random.standard_normal((M, P))
-    fit = _LeastSquares(torque, own, common)
+    fit = LeastSquares(torque, own, common)
     inverse = np.linalg.pinv(written_out(own, common))
     expected = inverse @ torque.ravel()
     np.testing.assert_allclose(fit.own.ravel(), expected[: 2 * M], rtol=1e-9)
@@ -86,7 +86,7 @@ def test_slopes_to_the_top_scatter_by_their_u():
         )
         bend, first, first_u, u, dof = _bend(stairs, current, own, common)
         level = torque - bend[:, None] * current**2
-        slope = _LeastSquares(level, [current, *own], common).own[:, 0] + 3.0 * bend
+        slope = LeastSquares(level, [current, *own], common).own[:, 0] + 3.0 * bend
         found.append([first - 0.05, slope - 0.05])
         stated.append([first_u, u])
         assert dof == 15 * (P - 3)  # slope, bend and zero of each, but what all have in common

@@ -1,0 +1,35 @@
+"""Least squares on all staircases: columns of each, and columns with a coefficient for all."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rigtool.numerics.arrays import Array
+
+
+class LeastSquares:
+    """Torque (m, p) as columns of each staircase, and shared ones with a coefficient for all."""
+
+    def __init__(self, torque: Array, own: list[Array], shared: list[Array]) -> None:
+        self.design = np.mean(np.stack([*own, *shared[:2]], axis=2), axis=0)
+        columns, common = np.stack(own, axis=2), np.stack(shared, axis=2)
+        self.inverse = np.linalg.pinv(columns)  # (m, c, p)
+        self._shared, self._free = common, common - columns @ (self.inverse @ common)
+        normal = np.einsum("mpc,mpd->cd", self._free, self._free)
+        self._normal = np.linalg.pinv(normal, hermitian=True)
+        self.own, rest = self.solve(torque)
+        self.residual = rest - np.einsum("mpc,mc->mp", columns, self.own)
+        self.parameters = self.own.size + common.shape[2]
+
+    def solve(self, torque: Array) -> tuple[Array, Array]:
+        """Return coefficients (m, c) of each staircase, and torques (m, p) less what is shared."""
+        shared = self._normal @ np.einsum("mpc,mp->c", self._free, torque)
+        rest = torque - self._shared @ shared
+        return np.einsum("mcp,mp->mc", self.inverse, rest), rest
+
+    def response(self, weight: Array) -> Array:
+        """Return what each torque (m, p) adds to the sum of slopes weighted by (m,)."""
+        direct = weight[:, None] * self.inverse[:, 0]
+        through = self._normal @ np.einsum("mp,mpc->c", direct, self._shared)
+        response: Array = direct - self._free @ through
+        return response
