@@ -132,7 +132,8 @@ def _torque_constant(recording: Recording, kt: Run | None) -> Quantity | None:
         return constant
     loss = kt.result("winding_heat_loss", "1/A2")
     half = float(np.mean(recording.read("current_setpoint").astype(np.float64) ** 2)) / 2
-    u = constant.value * half * math.hypot(loss.value / math.sqrt(3), loss.u or 0.0)
+    own = loss.value if loss.u is None else loss.u  # a loss that does not show
+    u = constant.value * half * math.hypot(loss.value / math.sqrt(3), own)
     left = 1 - loss.value * half
     heat = error_line("heat of the winding", u, constant.unit)
     lines = [*inherited(constant, left, "torque constant"), heat]
