@@ -101,13 +101,15 @@ def warmed(constant: Quantity, kt: Run, square: float, least: float = 0.0) -> Qu
     """Return a torque for each ampere while currents of the mean `square`, A2, heat the winding.
 
     The winding is warmer than the housing. How much of `winding_heat_loss` is reached is not known:
-    anything between the part `least` and the whole, a rectangular distribution (GUM 4.3.7).
+    anything between the part `least` and the whole, a rectangular distribution (GUM 4.3.7). A loss
+    that does not show is as uncertain as it is large.
     """
     if "winding_heat_loss" not in kt.results:
         return constant
     loss = kt.result("winding_heat_loss", "1/A2")
     reached, half = square * (1 + least) / 2, square * (1 - least) / 2
-    u = constant.value * math.hypot(loss.value * half / math.sqrt(3), reached * (loss.u or 0.0))
+    own = loss.value if loss.u is None else loss.u
+    u = constant.value * math.hypot(loss.value * half / math.sqrt(3), reached * own)
     left = 1 - loss.value * reached
     heat = error_line("heat of the winding", u, constant.unit)
     lines = [*inherited(constant, left, "torque constant"), heat]

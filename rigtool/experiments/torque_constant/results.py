@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from rigtool.experiments.outcome import Outcome
@@ -73,6 +75,14 @@ def _results(found: Calibration, reading_relative_u: float) -> dict[str, Quantit
             MODEL_OF_FRICTION, found.components.get(MODEL_OF_FRICTION, 0.0) / largest**2, "1/A2"
         ),
     ]
+    if math.isfinite(slopes.lasting_heating_spread):
+        loss = combined(slopes.lasting_heating, "1/A2", heat_loss)
+    else:
+        reason = (
+            "the staircases show no loss by heat: without one, they are explained as well; it may "
+            "hide in noise and friction; raise current_max or staircases"
+        )
+        loss = Quantity(slopes.lasting_heating, "1/A2", reason=reason)
     results = {
         "torque_constant": found.torque_constant,
         "torque_constant_temperature_coefficient": found.coefficient,
@@ -86,7 +96,7 @@ def _results(found: Calibration, reading_relative_u: float) -> dict[str, Quantit
             linearity.deviation, "A", linearity.deviation_u, linearity.deviation_dof, "scatter"
         ),
         "hysteresis_torque": hysteresis,
-        "winding_heat_loss": combined(slopes.lasting_heating, "1/A2", heat_loss),
+        "winding_heat_loss": loss,
     }
     return {name: quantity for name, quantity in results.items() if quantity is not None}
 

@@ -116,6 +116,10 @@ def test_each_result_has_a_budget_of_its_own():
     assert heat.dof == pytest.approx(5 * 14**2, rel=1e-9)
     slopes.hysteresis_dof = 0
     assert _results(found, 2e-3)["hysteresis_torque"].u is None
+    slopes.lasting_heating_spread = math.inf
+    hidden = _results(found, 2e-3)["winding_heat_loss"]
+    assert (hidden.value, hidden.u) == (2e-4, None)
+    assert "raise current_max" in hidden.reason
 
 
 @pytest.mark.parametrize("dof", [0, 1])

@@ -62,7 +62,7 @@ class Slopes:
     `heating_u` its standard uncertainty with `heating_dof`; `lasting_heating` 1/A2 is what a
     current lowers the constant by within `HEATING_TIME`, over its square, `lasting_heating_u` its
     standard uncertainty from scatter, `lasting_heating_spread` that from tau and from friction's
-    path; `friction_u` the
+    path, infinite where no loss shows; `friction_u` the
     relative standard uncertainty from the model of friction with `friction_dof`, `friction_share`
     the relative part by which friction changes a straight line's slope; `resolution_u` that from
     the resolution of the gauge, `rounding` (places, m) in N m/A what it adds to each slope with the

@@ -61,6 +61,9 @@ LAW = 2e-3
 """Relative standard uncertainty of friction by its law: swings of 0.04 rad/s lower friction with a
 Stribeck velocity of 0.3 rad/s by 0.2 to 0.9 % for a moment."""
 
+SHOWN = 0.5
+"""Probability that there is a loss by heat below which the staircases do not show one."""
+
 FINER_GRIDS = 3
 """Grids that each cover the best of the one before."""
 
@@ -241,14 +244,19 @@ def loss_by_heat(hypotheses: Hypotheses) -> tuple[float, float]:
     """Return the relative loss of the constant within `HEATING_TIME`, over the square of the
     current, 1/A2, and its standard uncertainty by what the hypotheses leave open.
 
-    It is that of the hypotheses that have one: those without are there for the constant.
+    It is that of the hypotheses that have one: those without are there for the constant. Where
+    those are the more probable, the staircases show no loss, and its uncertainty is infinite: what
+    is left of noise by being positive says nothing of a loss that is larger.
     """
     means, found = hypotheses.means, hypotheses.weighed
     losses = found.slope[:, 2]
     probable = found.probable(means.plateaus * (LAW * means.contacts(found.best).level) ** 2)
     probable = probable * (losses > 0)
-    probable /= max(float(probable.sum()), TINY)
+    shown = float(probable.sum())
+    probable /= max(shown, TINY)
     loss = float(probable @ losses)
+    if shown < SHOWN:
+        return loss, math.inf
     spread = math.sqrt(float(probable @ ((losses - loss) ** 2 + found.variance[:, 2])))
     stairs = means.stairs
     length = float(np.mean(stairs.end.max(axis=1) - stairs.begin.min(axis=1)))

@@ -1,5 +1,6 @@
 """Loss of the torque constant by a current that lasts."""
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -58,9 +59,11 @@ def test_what_friction_by_its_law_leaves_open_is_no_evidence():
 
 
 def test_hypotheses_without_a_loss_say_nothing_about_its_size():
-    """They are tried for the sake of the constant, however probable."""
-    found = weighed_from([0.0, 1e-3, 0.0, 2e-3], [1e-10, 1.1e-10, 1e-10, 1.1e-10])
+    """They are tried for the sake of the constant. Where they are as probable, no loss shows."""
+    found = weighed_from([0.0, 1e-3, 0.0, 2e-3], [1.01e-10, 1e-10, 1.01e-10, 1e-10])
     assert loss_of(found, 0.0) == pytest.approx((1.5e-3, 0.5e-3), rel=1e-9)
+    hidden = weighed_from([0.0, 1e-3, 0.0, 2e-3], [1e-10, 1.01e-10, 1e-10, 1.01e-10])
+    assert loss_of(hidden, 0.0) == (pytest.approx(1.5e-3, rel=1e-9), math.inf)
 
 
 def test_what_a_hypothesis_leaves_open_by_itself_counts():
