@@ -1,4 +1,8 @@
-"""Least squares on all staircases: columns of each, and columns with a coefficient for all."""
+"""Least squares on all staircases: columns of each, and columns with a coefficient for all.
+
+Columns of each staircase are projected out of the shared ones first (R. Frisch, F. V. Waugh,
+Econometrica 1(4), 387-401, 1933), so that no matrix is larger than one staircase.
+"""
 
 from __future__ import annotations
 
