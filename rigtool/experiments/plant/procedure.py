@@ -16,13 +16,13 @@ from rigtool.errors import InsufficientDataError, RecipeError
 from rigtool.experiments.controller_torque import naming, require_unlimited, usual_current
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.plant.angle_torque import without_angle_torque
+from rigtool.experiments.plant.curvature import excited_speed, slope_rise
 from rigtool.experiments.plant.fit import fit_plant
 from rigtool.experiments.plant.frequency_response import (
     MIN_EXPERIMENTS,
     Experiment,
     frequency_response,
 )
-from rigtool.experiments.plant.multisine import LineNumbers, periodic
 from rigtool.experiments.plant.procedure_excitation import (
     Excitation,
     excitations,
@@ -99,15 +99,18 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run | None = None) -> Ou
     lines, sample_time = excited_lines(recipe), recipe.rig.sample_time
     experiments: list[Experiment] = []
     constants: list[Quantity | None] = []
-    swings: list[float] = []
+    speeds: list[float] = []
     for recording in found:
         constant = _torque_constant(recording, kt)
         scale = recipe.rig.torque_constant if constant is None else constant.value
         own = _experiments(recording, recipe, scale)
-        speed = recording.condition("speed")
-        swings += [_swing(experiment, lines, sample_time) / speed for experiment in own]
+        speeds += [recording.condition("speed")] * len(own)
         experiments += own
         constants.append(constant)
+    swing = max(
+        float(np.abs(excited_speed(experiment, lines, sample_time)).max()) / speed
+        for experiment, speed in zip(experiments, speeds, strict=True)
+    )
     count = 2 * math.pi / recipe.rig.encoder_counts
     response = frequency_response(experiments, lines, sample_time, count)
     fit = fit_plant(response, sample_time, recipe.rig.nominal_inertia)
@@ -115,7 +118,8 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run | None = None) -> Ou
         experiments = without_angle_torque(experiments, lines, fit)
         response = frequency_response(experiments, lines, sample_time, count)
         fit = fit_plant(response, sample_time, recipe.rig.nominal_inertia)
-    return plant_outcome(IdentifiedPlant(response, fit, constants[0], max(swings)), recipe)
+    rise = slope_rise(experiments, lines, fit)
+    return plant_outcome(IdentifiedPlant(response, fit, constants[0], swing, rise), recipe)
 
 
 def _torque_constant(recording: Recording, kt: Run | None) -> Quantity | None:
@@ -190,20 +194,6 @@ def _period_starts(steps: Array, step: float, settle: int, period: int) -> list[
         count = (stop - first - settle + EDGE_STEPS) // period
         starts += [int(stop) - k * period for k in range(count, 0, -1)]
     return starts
-
-
-def _swing(experiment: Experiment, lines: LineNumbers, sample_time: float) -> float:
-    """Return the peak of the excited speed, rad/s."""
-    samples_of_period = experiment.reference.shape[-1]
-    reference, output = (
-        np.fft.rfft(signal)[:, lines] for signal in (experiment.reference, experiment.output)
-    )
-    # Of the first period; only the part that belongs to the excitation.
-    answer = reference[0] * np.sum(output * reference.conj(), axis=0)
-    answer /= np.sum(np.abs(reference) ** 2, axis=0)
-    omega = 2 * np.pi * lines / (samples_of_period * sample_time)
-    amplitude = 1j * omega * answer / (samples_of_period / 2)
-    return float(np.abs(periodic(lines, amplitude, samples_of_period)).max())
 
 
 PROCEDURE = Procedure(

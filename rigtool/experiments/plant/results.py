@@ -10,11 +10,12 @@ import numpy as np
 
 from rigtool.control.position_loop import position_loop
 from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.plant.curvature import SlopeRise
 from rigtool.experiments.plant.fit import MIN_COHERENCE, PlantFit
 from rigtool.experiments.plant.frequency_response import FrequencyResponse
 from rigtool.experiments.plant.margins import Margins, margins
 from rigtool.numerics.arrays import Array
-from rigtool.quantity import Quantity, combined, error_line, inherited
+from rigtool.quantity import Component, Quantity, combined, error_line, inherited
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Table, dof_column
 
@@ -39,13 +40,15 @@ NOT_CALIBRATED = (
 class IdentifiedPlant:
     """Response and fit; the torque for each ampere (None without --kt); the largest swing.
 
-    `swing` is the peak of the excited speed relative to the speed of the shaft.
+    `swing` is the peak of the excited speed relative to the speed of the shaft, `rise` the bend of
+    friction over the swing.
     """
 
     response: FrequencyResponse
     fit: PlantFit
     torque_constant: Quantity | None
     swing: float
+    rise: SlopeRise
 
     @property
     def scale_u(self) -> float:
@@ -53,8 +56,10 @@ class IdentifiedPlant:
         constant = self.torque_constant
         return 0.0 if constant is None else (constant.u or 0.0) / constant.value
 
-    def quantity(self, statistic: Callable[[PlantFit], float], unit: str) -> Quantity:
-        """Return a statistic of the fit with its uncertainty."""
+    def quantity(
+        self, statistic: Callable[[PlantFit], float], unit: str, *more: Component
+    ) -> Quantity:
+        """Return a statistic of the fit with its uncertainty, to which it may add `more`."""
         value = statistic(self.fit)
         if self.torque_constant is None:
             return Quantity(value, unit, reason=NOT_CALIBRATED)
@@ -62,6 +67,7 @@ class IdentifiedPlant:
         own = [
             error_line("scatter between experiments", scatter, unit, len(self.fit.without) - 1),
             error_line("second mass", doubt, unit),
+            *more,
         ]
         scale = statistic(_scaled(self.fit, 1 + self.scale_u)) - value
         constant = self.torque_constant
@@ -107,12 +113,9 @@ def plant_outcome(found: IdentifiedPlant, recipe: Recipe) -> Outcome:
 
 def _plant_results(found: IdentifiedPlant) -> dict[str, Quantity]:
     fit, response = found.fit, found.response
-    viscous = found.quantity(lambda f: f.model.viscous, "N m s/rad")
-    if viscous.u is not None and viscous.value < -FALLING * viscous.u:
-        viscous = Quantity(viscous.value, viscous.unit, reason=FALLS)
     results = {
         "inertia": found.quantity(lambda f: f.model.inertia, "kg m2"),
-        "viscous_friction": viscous,
+        "viscous_friction": _viscous_friction(found),
         "mass_line_crossing": found.quantity(lambda f: f.model.mass_line_crossing, "Hz"),
     }
     if not fit.model.rigid:
@@ -135,6 +138,19 @@ def _plant_results(found: IdentifiedPlant) -> dict[str, Quantity]:
             float(response.coherence[fit.used].min()), "1", reason="a measure of scatter itself"
         ),
     }
+
+
+def _viscous_friction(found: IdentifiedPlant) -> Quantity:
+    """Return the mean slope of friction, or its value with the reason where friction falls.
+
+    The slope of fast motion lies between it and the one an rms of the swing above (rectangular).
+    """
+    unit = "N m s/rad"
+    mean = found.quantity(lambda f: f.model.viscous, unit)
+    if mean.u is not None and mean.value < -FALLING * mean.u:
+        return Quantity(mean.value, unit, reason=FALLS)
+    bend = error_line("bend of friction", found.rise.shown / math.sqrt(3), unit)
+    return found.quantity(lambda f: f.model.viscous, unit, bend)
 
 
 def _response_table(found: IdentifiedPlant) -> Table:
@@ -264,7 +280,7 @@ def _notes(found: IdentifiedPlant, recipe: Recipe) -> list[str]:
         f"{band[0]:.4g} to {band[-1]:.4g} Hz: those with a coherence of at least {MIN_COHERENCE}",
         f"the encoder's steps, as white noise, make a line's response uncertain by at most "
         f"{100 * steps.max():.2g} %, {share:.2g} of its variance (median)",
-        _swing_note(found.swing),
+        _swing_note(found.swing, found.rise),
         _model_note(fit),
         f"delay and roll-off model amplifier and hold: "
         f"{fit.delay * 1e6:+.3g} us beyond half a sample, gain "
@@ -286,12 +302,20 @@ def _notes(found: IdentifiedPlant, recipe: Recipe) -> list[str]:
     return notes
 
 
-def _swing_note(swing: float) -> str:
+def _swing_note(swing: float, rise: SlopeRise) -> str:
+    if swing < 1 and rise.shown:
+        return (
+            f"the slope of friction rises by {rise.shown:.2g} N m s/rad over one rms of the swing "
+            f"(its speed swung by up to {100 * swing:.3g} %), as where friction falls with the "
+            "speed at its slow end: viscous_friction is lower than that of fast motion, its u "
+            "holds this; raise identify_plant.speeds (stroke_speeds with the instrument) or lower "
+            "swing"
+        )
     if swing < 1:
         return (
             f"the shaft never stopped (its speed swung by up to {100 * swing:.3g} %), so Coulomb "
-            "friction is a constant; where friction falls with the speed as far down as it swung "
-            "(stribeck shows this), viscous_friction is lower"
+            "friction is a constant; its slope is the same over the swing within "
+            f"{2 * rise.u:.2g} N m s/rad"
         )
     return (
         f"the shaft stopped (its speed swung by up to {100 * swing:.3g} %): viscous_friction "

@@ -9,6 +9,7 @@ from scipy import stats
 
 from rigtool.control.plant_models import PlantModel
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.plant.curvature import SlopeRise
 from rigtool.experiments.plant.fit import fit_plant
 from rigtool.experiments.plant.frequency_response import FrequencyResponse
 from rigtool.experiments.plant.results import IdentifiedPlant
@@ -148,7 +149,7 @@ def test_what_a_possible_second_mass_would_change_is_an_uncertainty_beside_scatt
     test = stats.f(3, more).sf((left - rest) / 3 / (rest / more))
     assert fit.rigid_rejected == pytest.approx(test, rel=1e-6)
     constant = Quantity(0.05, "N m/A", 1e-5)
-    plant = IdentifiedPlant(measured(RIGID, 0), fit, constant, swing=0.5)
+    plant = IdentifiedPlant(measured(RIGID, 0), fit, constant, 0.5, SlopeRise(0.0, 1e-5, 6))
     for name in ("inertia", "viscous"):
 
         def statistic(f, name=name):

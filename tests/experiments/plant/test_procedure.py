@@ -8,6 +8,7 @@ import pytest
 
 from rigtool.errors import InsufficientDataError, RecipeError, RunFileError
 from rigtool.experiments.plant import procedure as identify_plant
+from rigtool.experiments.plant.curvature import excited_speed
 from rigtool.experiments.plant.frequency_response import Experiment
 from rigtool.experiments.plant.procedure import PROCEDURE as IDENTIFY_PLANT
 from rigtool.experiments.plant.procedure_excitation import (
@@ -396,7 +397,7 @@ def test_the_swing_is_the_peak_of_the_excited_speed_alone():
     output += np.array([[1.0], [1.0]]) * waves(np.full(3, 0.2))  # ripple, alike in both
     made = Experiment(np.stack([waves(reference), -waves(reference)]), output, output, output)
     expected = np.abs(waves(1j * omega * answer)).max()
-    assert identify_plant._swing(made, lines, step) == pytest.approx(expected, rel=1e-9)
+    assert np.abs(excited_speed(made, lines, step)).max() == pytest.approx(expected, rel=1e-9)
 
 
 def test_turns_are_cut_into_equal_parts():

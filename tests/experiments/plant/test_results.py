@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import f as fisher
 
 from rigtool.control.plant_models import PlantModel
+from rigtool.experiments.plant.curvature import SlopeRise
 from rigtool.experiments.plant.fit import PlantFit
 from rigtool.experiments.plant.frequency_response import FrequencyResponse
 from rigtool.experiments.plant.results import IdentifiedPlant, plant_outcome
@@ -26,7 +27,7 @@ def fit_of(inertia, viscous=5e-5, delay=2e-5):
     return PlantFit(PlantModel(inertia, viscous), delay, 1e-9, 0.0, TIME, USED, 1.1, 0.3)
 
 
-def identified(constant=CONSTANT, swing=0.7, noise=0.02):
+def identified(constant=CONSTANT, swing=0.7, noise=0.02, rise=0.0):
     """Return five experiments, and the fit with those that lack one each."""
     rng = np.random.default_rng(1)
     whole = fit_of(1.5e-5)
@@ -42,7 +43,7 @@ def identified(constant=CONSTANT, swing=0.7, noise=0.02):
     response = FrequencyResponse(
         FREQUENCY, true * (1 + noise * error), np.linspace(0.7, 0.99, 12), 1e-3 * np.abs(true)
     )
-    return IdentifiedPlant(response, fit, constant, swing)
+    return IdentifiedPlant(response, fit, constant, swing, SlopeRise(rise, 1e-6, COUNT))
 
 
 def law(value, *parts):
@@ -88,6 +89,18 @@ def test_friction_that_falls_with_the_speed_is_no_viscous_friction(shift, known)
     assert result.value == pytest.approx(shift * u)
     assert (result.u is not None) == known
     assert known or "falls with the speed" in result.reason
+
+
+def test_friction_that_bends_widens_viscous_friction_alone():
+    even, bent = (plant_outcome(identified(rise=rise), RECIPE_HERE) for rise in (1e-6, 9e-6))
+    plain, wide = (outcome.results["viscous_friction"] for outcome in (even, bent))
+    assert wide.value == plain.value
+    # rectangular between none of the rise and all of it
+    assert wide.u == pytest.approx(np.hypot(plain.u, 9e-6 / np.sqrt(3)), rel=1e-9)
+    assert "bend of friction" in [line.name for line in wide.budget]
+    assert bent.results["inertia"].u == even.results["inertia"].u
+    assert "slope is the same over the swing within 2e-06 N m s/rad" in " ".join(even.notes)
+    assert "slope of friction rises by 9e-06 N m s/rad over one rms" in " ".join(bent.notes)
 
 
 def test_without_a_calibration_nothing_has_an_uncertainty():

@@ -1,0 +1,93 @@
+"""Friction that bends over the swing shows at sums and differences of the excited lines."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from rigtool.control.plant_models import PlantModel
+from rigtool.experiments.plant.curvature import SlopeRise, excited_speed, slope_rise
+from rigtool.experiments.plant.fit import PlantFit
+from rigtool.experiments.plant.frequency_response import Experiment
+
+SAMPLE_TIME, PERIODS, SAMPLES = 1e-3, 4, 500
+LINES = np.array([2, 3, 4, 5, 7, 9, 12, 16, 21, 28, 37, 49])
+FIT = PlantFit(
+    PlantModel(2e-5, 1e-4), 1e-4, 1e-8, 0.0, SAMPLE_TIME, np.ones(12, dtype=bool), 1.0, 1.0
+)
+
+
+def experiment(direction, seed, friction, *, turned=False, noise=2e-6):
+    """Return a shaft at 4 rad/s whose speed swings by 1.3 rad/s, rms, against `friction(|v|)`.
+
+    With `turned` the excitation of every second period has the other sign.
+    """
+    rng = np.random.default_rng(seed)
+    line = np.arange(1, SAMPLES // 2)
+    omega = 2 * np.pi * line / (SAMPLES * SAMPLE_TIME)
+    speeds = np.zeros(len(line), dtype=complex)
+    speeds[LINES - 1] = np.exp(2j * np.pi * rng.random(len(LINES)))
+    speeds *= 1.3 / np.sqrt(np.sum(np.abs(speeds) ** 2) / 2)
+
+    def wave(amplitudes):
+        return np.fft.irfft(np.concatenate([[0], amplitudes, [0]]) * SAMPLES / 2, SAMPLES)
+
+    output, plain, speed = (
+        wave(part)
+        for part in (
+            speeds / (1j * omega),
+            speeds / (1j * omega) / FIT.response(omega / (2 * np.pi)),
+            speeds,
+        )
+    )
+    signs = np.array([1, -1] * (PERIODS // 2) if turned else [1] * PERIODS)[:, None]
+    torque = signs * plain + direction * friction(4 + direction * signs * speed)
+    torque = torque + noise * rng.standard_normal(torque.shape)
+    turning = direction * 4 * SAMPLE_TIME * np.arange(PERIODS * SAMPLES).reshape(PERIODS, -1)
+    made = Experiment(signs * plain, torque, signs * output, turning + signs * output)
+    return made, signs[0] * speed
+
+
+def experiments(friction, **how):
+    return [experiment(1 - 2 * (n % 2), n, friction, **how)[0] for n in range(8)]
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("bend", [4e-6, -4e-6])
+def test_the_rise_of_the_slope_is_that_of_friction(bend, turned):
+    found = slope_rise(experiments(lambda v: bend * (v - 4) ** 2, turned=turned), LINES, FIT)
+    assert found.value == pytest.approx(2 * bend * 1.3, abs=3 * found.u)
+    assert found.u < 0.1 * abs(found.value)
+    assert found.count == 8
+    assert found.shown == (found.value if bend > 0 else 0.0)
+
+
+def test_friction_that_does_not_bend_shows_no_rise():
+    shown = [
+        slope_rise(
+            [
+                experiment(1 - 2 * (n % 2), 100 * trial + n, lambda v: 2e-3 + 3e-5 * v)[0]
+                for n in range(6)
+            ],
+            LINES,
+            FIT,
+        ).shown
+        for trial in range(40)
+    ]
+    # one-sided 5 % of 40: at most six by the binomial law, p = 0.01
+    assert sum(own > 0 for own in shown) <= 6
+
+
+def test_the_stribeck_effect_at_the_slow_end_is_seen():
+    found = slope_rise(experiments(lambda v: 1e-3 * np.exp(-((v / 1.5) ** 2))), LINES, FIT)
+    assert found.shown > 5 * found.u
+
+
+@pytest.mark.parametrize("pull", [1.0, 1.8, 2.0, 3.0, -3.0])
+def test_what_scatter_explains_is_not_shown(pull):
+    rise = SlopeRise(pull * 1e-5, 1e-5, 6)
+    assert (rise.shown > 0) == (stats.t(5).sf(pull) < 0.05)
+
+
+def test_the_swing_is_the_excited_speed_of_the_first_period():
+    made, speed = experiment(-1, 3, lambda v: 0 * v, turned=True)
+    np.testing.assert_allclose(excited_speed(made, LINES, SAMPLE_TIME), speed, atol=1e-9)
