@@ -47,6 +47,7 @@ def near(rng: np.random.Generator) -> Settings:
         "virtual.sensors.force_noise": spread(rng, 2e-4, 2e-3),
         "virtual.sensors.force_gain": gauge,
         "virtual.thermal.winding_to_housing": rng.uniform(0.5, 1.2),
+        motor + "friction_asymmetry": rng.uniform(-0.15, 0.15),
     }
 
 

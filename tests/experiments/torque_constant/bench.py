@@ -23,6 +23,7 @@ class Bench:
     stiffness: float = 15.0  # of the arm, N m/rad
     presliding_angle: float = 8e-4
     exponent: float = 1.0  # of Dahl's law
+    asymmetry: float = 0.0  # of friction, larger where torque rises
     ripple: tuple[float, ...] = (0.004, 0.004, 0.001)  # relative, by order from the first
     saturation: float = 0.002  # relative, 1/A, third order
     amplifier_gain: float = 1.0
@@ -109,6 +110,7 @@ class Bench:
 
     def _arm_torque(self, drive: Array, per_step: int) -> Array:
         arm = (self.friction, self.stiffness, self.presliding_angle, self.exponent)
+        arm = (*arm, self.asymmetry)
         return np.repeat(_arm_torque(drive, *arm), per_step)
 
 
@@ -135,16 +137,23 @@ def _heat(
 
 @compiled_allocating
 def _arm_torque(
-    drive: Array, friction: float, stiffness: float, presliding_angle: float, exponent: float
+    drive: Array,
+    friction: float,
+    stiffness: float,
+    presliding_angle: float,
+    exponent: float,
+    asymmetry: float,
 ) -> Array:
     """Move the arm in small steps until drive = arm torque + friction at each level."""
     bristle, deflection, torque = 0.0, 0.0, np.empty(len(drive))
     step = presliding_angle / 200
     for k, target in enumerate(drive):
-        direction = 1.0 if target > stiffness * deflection + friction * bristle else -1.0
-        while (target - stiffness * deflection - friction * bristle) * direction > 0:
+        held = friction * bristle * (1 + asymmetry * bristle)
+        direction = 1.0 if target > stiffness * deflection + held else -1.0
+        while (target - stiffness * deflection - held) * direction > 0:
             deflection += direction * step
             left = max(1 - direction * bristle, 0.0) ** exponent
             bristle += step / presliding_angle * direction * left
-        torque[k] = target - friction * bristle
+            held = friction * bristle * (1 + asymmetry * bristle)
+        torque[k] = target - held
     return torque

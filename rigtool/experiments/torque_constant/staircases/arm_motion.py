@@ -2,7 +2,7 @@
 
 In the elastic torque x of the arm, with natural frequency w and lag l of its damping,
 
-    x''/w2 + l x' + x = M_j - f z,   dz = +-|1 -+ z|^i |dx| / s,   torque = x + l x'     (1)
+    x''/w2 + l x' + x = M_j - f z (1 + A z),   dz = +-|1 -+ z|^i |dx| / s,   torque = x + l x'  (1)
 
 where M_j is the motor's torque on plateau j. It is what the gauge shows at rest, and friction. Only
 w and l are unknown. They are fitted to the courses of all plateaus together, so that the swings
@@ -43,12 +43,17 @@ RANGE = math.log(5.0)
 @dataclass(frozen=True)
 class Contacts:
     """Friction `level` f in N m and its `state` z (g, p) on each plateau; `transition` s in N m and
-    `exponent` i of its law."""
+    `exponent` i of its law; `asymmetry` A, by which it is larger where torque rises."""
 
     level: float
     state: Array
     transition: float
     exponent: float
+    asymmetry: float = 0.0
+
+    def torque(self) -> Array:
+        """Return friction on each plateau (g, p), N m."""
+        return self.level * self.state * (1 + self.asymmetry * self.state)
 
 
 @dataclass(frozen=True)
@@ -86,28 +91,44 @@ class Arm:
         return swings
 
     def friction_state(self, courses: Courses, contacts: Contacts) -> tuple[Array, Array]:
-        """Return a and b (g, p) of the friction's state z = a + b z0 after each plateau."""
+        """Return a and b (g, p) of friction z (1 + A z) = a + b h after each plateau, where h is
+        that before the first."""
         _, state, kept = self._motion(courses, contacts)
-        return state - kept * contacts.state[:, :1], kept
+        first, asymmetry = contacts.state[:, :1], contacts.asymmetry
+        friction, kept = one_sided(state, kept, asymmetry)
+        before, change = one_sided(first, np.ones(first.shape), asymmetry)
+        return friction - kept / change * before, kept / change
 
     def _motion(self, courses: Courses, contacts: Contacts) -> tuple[Array, Array, Array]:
         """Return torques (g, p, c) N m, states of friction (g, p) and dz/dz0 (g, p)."""
         torque: Array = np.empty(courses.course.shape)
         state, kept = np.empty((2, *courses.torque.shape))
-        drive = courses.torque + contacts.level * contacts.state
+        drive = courses.torque + contacts.torque()
         for number in range(len(torque)):
             _move(
                 drive[number],
                 courses.part[number] / self.steps,
                 self.steps,
                 (self.frequency, self.lag),
-                (contacts.level, contacts.transition, contacts.exponent),
+                (contacts.level, contacts.asymmetry, contacts.transition, contacts.exponent),
                 (courses.torque[number, 0], contacts.state[number, 0]),
                 torque[number],
                 state[number],
                 kept[number],
             )
         return torque, state, kept
+
+
+def one_sided(state: Array, kept: Array, asymmetry: float) -> tuple[Array, Array]:
+    """Return friction z (1 + A z) for states z (...), and its derivative for that of z, `kept`."""
+    return state * (1 + asymmetry * state), kept * (1 + 2 * asymmetry * state)
+
+
+def state_of(friction: Array, asymmetry: float) -> Array:
+    """Return states z (...) within -1 to 1 whose friction is z (1 + A z)."""
+    root = np.sqrt(np.maximum(1 + 4 * asymmetry * friction, 0.0))
+    state: Array = np.clip(2 * friction / (1 + root), -1.0, 1.0)
+    return state
 
 
 def arm_of(courses: Courses, contacts: Contacts) -> Arm | None:
@@ -147,7 +168,7 @@ def _move(
     step: Array,
     steps: int,
     arm: tuple[float, float],
-    contacts: tuple[float, float, float],
+    contacts: tuple[float, float, float, float],
     start: tuple[float, float],
     torque: Array,
     state: Array,
@@ -161,7 +182,7 @@ def _move(
     Numerical Integration, 2006, section I.1).
     """
     frequency, lag = arm
-    level, transition, exponent = contacts
+    level, asymmetry, transition, exponent = contacts
     x, z = start
     speed, slope = 0.0, 1.0
     for j in range(len(drive)):
@@ -171,7 +192,8 @@ def _move(
             total = 0.0
             for _ in range(steps):
                 before = speed
-                speed = ((1.0 - drag) * speed + push * (drive[j] - x - level * z)) / (1.0 + drag)
+                friction = level * z * (1.0 + asymmetry * z)
+                speed = ((1.0 - drag) * speed + push * (drive[j] - x - friction)) / (1.0 + drag)
                 way = speed * step[j]
                 total += x + lag * (before + speed) / 2.0
                 x += way

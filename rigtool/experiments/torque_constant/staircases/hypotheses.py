@@ -67,6 +67,9 @@ SHOWN = 0.5
 FINER_GRIDS = 3
 """Grids that each cover the best of the one before."""
 
+ASYMMETRIES = 3
+"""Times that friction's asymmetry is found, each with the likeliest hypothesis so far."""
+
 SHORTER_LAG = 12.0
 """Ratio of the longest lag of the arm's swings to the shortest."""
 
@@ -124,19 +127,29 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
             f"{int(stairs.weight.sum())} plateaus in {len(stairs.setpoint)} staircases leave no "
             "degree of freedom to the fit: use more steps"
         )
-    # The gauge's noise is also in the path, where it would count as evidence against friction.
-    ways = ways_of(stairs)
-    coarse = _joined([_search(means, way, 0) for way in ways])
-    means.smooth(coarse.best(FEWEST_RESIDUALS))
-    means.find_arm(coarse.best(FEWEST_RESIDUALS))
-    if means.arm is not None:
-        ways = [(means.arm.lag, means.arm.lag)]
+    ways = _prepare(means, stairs)
+    for _ in range(ASYMMETRIES if means.arm is not None else 0):
+        likely = _joined([_search(means, way, FINER_GRIDS - 1) for way in ways])
+        means.find_asymmetry(likely.best(FEWEST_RESIDUALS))
+        ways = _prepare(means, stairs)
     found = weighed(means, ways)
     means.move_arm(found.best)
     probable = found.probable()
     mean = probable @ found.slope
     spread = np.sqrt(probable @ ((found.slope - mean) ** 2 + found.variance))
     return Hypotheses(means, found, float(mean[0]), *spread[[0, 1, 3]].tolist())
+
+
+def _prepare(means: MeanStaircases, stairs: Stairs) -> list[tuple[float, float] | None]:
+    """Take noise off the courses of `stairs` and find the arm in them, for friction's asymmetry so
+    far; return ranges of the lag."""
+    means.stairs, means.arm = stairs, None
+    # The gauge's noise is also in the path, where it would count as evidence against friction.
+    ways = ways_of(stairs)
+    coarse = _joined([_search(means, way, 0) for way in ways])
+    means.smooth(coarse.best(FEWEST_RESIDUALS))
+    means.find_arm(coarse.best(FEWEST_RESIDUALS))
+    return ways if means.arm is None else [(means.arm.lag, means.arm.lag)]
 
 
 def weighed(means: MeanStaircases, ways: list[tuple[float, float] | None]) -> Weighed:

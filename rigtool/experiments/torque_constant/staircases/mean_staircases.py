@@ -14,7 +14,13 @@ from itertools import product
 
 import numpy as np
 
-from rigtool.experiments.torque_constant.staircases.arm_motion import Arm, Contacts, arm_of
+from rigtool.experiments.torque_constant.staircases.arm_motion import (
+    Arm,
+    Contacts,
+    arm_of,
+    one_sided,
+    state_of,
+)
 from rigtool.experiments.torque_constant.staircases.friction_cone import positive, possible
 from rigtool.experiments.torque_constant.staircases.model import (
     Common,
@@ -35,6 +41,12 @@ from rigtool.numerics.residual_covariance import independent_samples
 LARGEST_FRICTION = 0.25
 """Largest friction, relative to the span of the torque."""
 
+ASYMMETRY = 0.1
+"""Standard deviation of friction's relative asymmetry, beforehand (assumed)."""
+
+LARGEST_ASYMMETRY = 0.5
+"""Beyond it, friction z (1 + A z) would not grow with its state z everywhere."""
+
 PARAMETERS = 7
 """Linear parameters of a mean staircase."""
 
@@ -50,6 +62,7 @@ class MeanStaircases:
         self.stairs, self._coefficient = stairs, coefficient
         self.winding = winding_time(stairs)
         self.arm: Arm | None = None
+        self.asymmetry = 0.0
         self._time_constant = 0.0
         kind = stairs.courses.kind
         self._members = [kind == number for number in range(int(kind.max()) + 1)]
@@ -90,6 +103,7 @@ class MeanStaircases:
         """
         ways = np.stack(self._ways(lags), axis=1)
         a, b = friction_state(ways, transition[:, None, None], exponents[:, None, None, None])
+        a, b = one_sided(a, b, self.asymmetry)
         shape, (a, b) = a.shape, (-each * self._weight for each in (a, b))
         if self.arm is None:
             return a, b
@@ -100,7 +114,7 @@ class MeanStaircases:
         for level, state, (exponent, s) in zip(
             *levels, product(exponents.tolist(), transition.tolist()), strict=True
         ):
-            contacts = Contacts(float(level), state, s, exponent)
+            contacts = Contacts(float(level), state, s, exponent, self.asymmetry)
             own.append(self.arm.friction_state(self.stairs.courses, contacts))
         a, b = -np.stack(own, axis=1) * self._weight
         return a.reshape(shape), b.reshape(shape)
@@ -122,7 +136,8 @@ class MeanStaircases:
         courses, kind = self.stairs.courses, self.stairs.courses.kind
 
         def by_turns(way: Array) -> Array:
-            return np.stack(friction_state(way, common.transition or 0.0, common.exponent))
+            both = friction_state(way, common.transition or 0.0, common.exponent)
+            return np.stack(one_sided(*both, self.asymmetry))
 
         if common.lag is None:
             own = by_turns(straight_path(courses)[:, kind])
@@ -133,8 +148,9 @@ class MeanStaircases:
             )
             if self.arm is not None:
                 contacts = self.contacts(common)
-                state = at_once[0] + at_once[1] * contacts.state[kind][:, :1]
-                contacts = replace(contacts, state=np.clip(state, -1.0, 1.0))
+                first, _ = one_sided(contacts.state[kind][:, :1], at_once[1], self.asymmetry)
+                friction = at_once[0] + at_once[1] * first
+                contacts = replace(contacts, state=state_of(friction, self.asymmetry))
                 each = replace(courses, torque=torque, course=both[0], part=courses.part[kind])
                 own += self.arm.friction_state(each, contacts) - at_once
         a, b = -own * self.stairs.weight
@@ -254,6 +270,27 @@ class MeanStaircases:
             courses = self.arm.moved(self.stairs.courses, self.contacts(common))
             self.stairs = replace(self.stairs, courses=courses)
 
+    def find_asymmetry(self, common: Common) -> None:
+        """Find friction's asymmetry, linear about that so far, with a hypothesis's friction.
+
+        Beforehand it is normal about 0 with `ASYMMETRY`; where friction is small, it stays there.
+        """
+        contacts = self.contacts(common)
+        if contacts.level <= 0:
+            return
+        squared = -contacts.level * contacts.state**2 * self._weight
+        columns = self.columns(common)
+        columns.append(columns[0] * np.abs(columns[0]))
+        column = left_by(columns, squared)
+        rest = left_by(columns, self._torque[..., 0])
+        power = float(np.sum(column**2))
+        change = float(np.sum(column * rest)) / max(power, TINY)
+        left = (rest - change * column).ravel()
+        free = independent_samples(left, self._weight.ravel() > 0, 1) - PARAMETERS * self.kinds
+        each = float(left @ left) / max(free, 1.0)
+        found = (self.asymmetry + change) / (1 + each / max(power, TINY) / ASYMMETRY**2)
+        self.asymmetry = float(np.clip(found, -LARGEST_ASYMMETRY, LARGEST_ASYMMETRY))
+
     def columns(self, common: Common) -> list[Array]:
         """Return the columns of (1) on the mean staircases, current first, (g, p) each."""
         current, lost = self.thermal(common.time_constant)
@@ -279,7 +316,7 @@ class MeanStaircases:
             return Contacts(0.0, np.zeros(self._weight.shape), 1.0, 1.0)
         friction = (each[None] for each in self._friction_under(common))
         (level,), (state,) = self._levels(common.time_constant, *friction)
-        return Contacts(float(level), state, common.transition, common.exponent)
+        return Contacts(float(level), state, common.transition, common.exponent, self.asymmetry)
 
     def _levels(self, time_constant: float, a: Array, b: Array) -> tuple[Array, Array]:
         """Return friction's largest torque (n,) and state (n, g, p) for its columns (n, g, p)."""
@@ -288,7 +325,8 @@ class MeanStaircases:
         found = np.linalg.solve(r, np.swapaxes(q, 2, 3) @ self._torque[..., :1])[..., -3:-1, 0]
         level = found[..., 0] @ self._share
         along = a * found[..., :1] + b * found[..., 1:]
-        state = np.clip(-along / np.maximum(level, 1e-12 * self._span)[:, None, None], -1.0, 1.0)
+        friction = -along / np.maximum(level, 1e-12 * self._span)[:, None, None]
+        state = state_of(friction, self.asymmetry)
         return np.clip(level, 0.0, LARGEST_FRICTION * self._span), state
 
     def residual(self, common: Common) -> Array:

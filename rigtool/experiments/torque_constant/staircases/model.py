@@ -8,8 +8,9 @@ k is the torque constant at the staircase's mean temperature T, i the measured c
 constant. z in -1..1 is the state of the shaft's friction: the arm yields very little, in proportion
 to the gauge's torque, so friction does not slide freely but changes over a transition of s N m,
 along each swing of the arm (`rigtool.experiments.torque_constant.staircases.swings`). Without z
-the slope would be too low by up to a part f/s. d is what a step leaves behind where the arm has not
-yet come to rest.
+the slope would be too low by up to a part f/s. Where friction is larger in one direction,
+z (1 + A z) takes the place of z, and A too is common to all staircases. d is what a step leaves
+behind where the arm has not yet come to rest.
 w = integral of i2 R/R20 exp(-t/tau) dt is the heat in the winding (R/R20 for copper), which a
 sensor on the housing does not show, and g the relative loss of torque constant by it; T_j is the
 housing's temperature with the lag of the winding, tau, and c the relative coefficient of the torque

@@ -50,20 +50,22 @@ def test_what_is_kept_of_the_state_before_is_its_derivative(exponent):
     assert 0.05 < kept[1] < 0.9
 
 
-@pytest.mark.parametrize("exponent", [0.7, 1.0, 1.6])
-def test_swings_and_friction_are_those_of_the_equation_of_motion(exponent):
+@pytest.mark.parametrize(("exponent", "asymmetry"), [(0.7, 0.0), (1.0, -0.2), (1.6, 0.2)])
+def test_swings_and_friction_are_those_of_the_equation_of_motion(exponent, asymmetry):
     """By scipy's integrator, plateau by plateau."""
-    contacts = replace(CONTACTS, exponent=exponent)
+    contacts = replace(CONTACTS, exponent=exponent, asymmetry=asymmetry)
     found = ARM.swings(staircase(), contacts)[0]
     a, b = ARM.friction_state(staircase(), contacts)
-    state = a[0] + b[0] * contacts.state[0, 0]
-    drive = 0.01 * LEVELS + contacts.level * contacts.state[0]
+    first = contacts.state[0, 0]
+    friction = a[0] + b[0] * first * (1 + asymmetry * first)
+    held = contacts.state[0] * (1 + asymmetry * contacts.state[0])
+    drive = 0.01 * LEVELS + contacts.level * held
 
     def change(_, at, push):
         x, speed, z = at
         side = 1.0 if speed > 0 else -1.0
         slides = max(1 - side * z, 0.0) ** exponent * abs(speed) / contacts.transition
-        force = push - x - contacts.level * z - ARM.lag * speed
+        force = push - x - contacts.level * z * (1 + asymmetry * z) - ARM.lag * speed
         return [speed, ARM.frequency**2 * force, side * slides]
 
     at, edges = [0.0, 0.0, contacts.state[0, 0]], np.linspace(0, TIME, PARTS * 8 + 1)
@@ -74,7 +76,7 @@ def test_swings_and_friction_are_those_of_the_equation_of_motion(exponent):
         course -= course[PARTS // 2 :].mean()
         assert_allclose(found[j], course, atol=0.02 * 0.01)
         at = solved.y[:, -1]
-        assert state[j] == pytest.approx(at[2], abs=2e-3)
+        assert friction[j] == pytest.approx(at[2] * (1 + asymmetry * at[2]), abs=2e-3)
 
 
 def test_the_arm_is_found_in_courses_with_noise():

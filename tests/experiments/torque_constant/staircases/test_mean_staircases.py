@@ -167,3 +167,15 @@ def test_friction_of_each_staircase_follows_its_own_torque(swinging_arm, monkeyp
     assert rough > 2 * off
     assert np.ptp(contacts.state[:, 1:], axis=0).max() > 8e-3
     assert means.friction_of_each(replace(law, transition=None)) == ()
+
+
+@pytest.mark.parametrize("asymmetry", [-0.15, 0.0, 0.15])
+def test_friction_that_is_larger_in_one_direction_is_found(asymmetry):
+    bench = Bench(asymmetry=asymmetry, force_noise=1e-4, ripple=(), saturation=0.0)
+    signals = bench.record((20, 50), angles=2)
+    stairs = arrange(plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08))
+    means = MeanStaircases(stairs, bench.coefficient, np.zeros(4))
+    common = Common(bench.stiffness * bench.presliding_angle, 1.0, None, bench.time_constant)
+    for _ in range(3):
+        means.find_asymmetry(common)
+    assert means.asymmetry == pytest.approx(asymmetry, abs=0.04)
