@@ -120,12 +120,12 @@ class Arm:
 
 
 def one_sided(state: Array, kept: Array, asymmetry: float) -> tuple[Array, Array]:
-    """Return friction z (1 + A z) for states z of any shape, and its derivative for that of z, `kept`."""
+    """Return friction z (1 + A z) of states z (..., p), and its derivative for `kept`, that of z."""
     return state * (1 + asymmetry * state), kept * (1 + 2 * asymmetry * state)
 
 
 def state_of(friction: Array, asymmetry: float) -> Array:
-    """Return states z within -1 to 1 whose friction of any shape is z (1 + A z)."""
+    """Return states z (..., p) within -1 to 1 whose friction is z (1 + A z)."""
     root = np.sqrt(np.maximum(1 + 4 * asymmetry * friction, 0.0))
     state: Array = np.clip(2 * friction / (1 + root), -1.0, 1.0)
     return state
