@@ -120,7 +120,7 @@ class Arm:
 
 
 def one_sided(state: Array, kept: Array, asymmetry: float) -> tuple[Array, Array]:
-    """Return friction z (1 + A z) of states z (..., p), and its derivative for `kept`, that of z."""
+    """Return friction z (1 + A z) of states z (..., p), and its derivative; `kept` is that of z."""
     return state * (1 + asymmetry * state), kept * (1 + 2 * asymmetry * state)
 
 
