@@ -18,6 +18,7 @@ from rigtool.experiments.torque_constant.ripple_over_turn import (
     ripple_over_turn,
     stated_ripple,
 )
+from rigtool.experiments.torque_constant.staircases import fit
 from rigtool.experiments.torque_constant.staircases.fit import (
     _either,
     _friction_changes,
@@ -271,6 +272,21 @@ def test_either_of_two_values_is_uncertain_by_their_difference():
     first = drawn.random(200_000) < 0.3
     each = np.where(first, 2.0, 1.0) + np.where(first, 0.4, 0.1) * drawn.standard_normal(200_000)
     assert_allclose(_either(0.3, [2.0, 1.0], [0.4, 0.1]), (each.mean(), each.std()), rtol=5e-3)
+
+
+def test_the_coefficient_is_the_mean_of_both_alternatives(monkeypatch):
+    bench = Bench()
+    plateaus = plateaus_of_set_point(**bench.record((20, 50)), arm_length=0.54, settle_time=0.08)
+    each = []
+    for more in (0.0, 1e-6):
+        monkeypatch.setattr(
+            fit, "_either", lambda _, trends, us, more=more: (trends[0] + more, 5e-7)
+        )
+        each.append(fit_staircases(plateaus))
+    first, second = (_fit_temperature(slopes) for slopes in each)
+    assert_allclose(second.slope - first.slope, 1e-6, rtol=1e-3)
+    assert_allclose(second.value, first.value, rtol=1e-6)
+    assert second.trend_u >= 5e-7
 
 
 def test_what_a_step_leaves_of_lagging_ripple_is_no_friction():
