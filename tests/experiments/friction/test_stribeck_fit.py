@@ -114,6 +114,18 @@ def test_a_hold_of_which_one_sample_is_left_is_left_out():
 # -- models
 
 
+@pytest.mark.parametrize("exponent", [1.0, 2.0])
+@pytest.mark.parametrize(("part", "shown"), [(0.3, False), (0.36, False), (0.385, True)])
+def test_velocities_beyond_those_that_are_searched_are_not_stated(part, shown, exponent):
+    """A third of the lowest speed is the least; within a tenth of it a search ends at the edge."""
+    speed = np.array([1.0, 1.02, 1.04, 1.5, 2, 3, 5, 8, 12, 20])
+    torque = curve(speed, 2e-3, 5e-5, 40e-3, part, exponent)
+    found = fit_direction(speed, torque, np.full(10, 1e-7), {exponent: 0.0})
+    assert found.exponent == (exponent if shown else None)
+    if shown:
+        assert found.parameters[3] == pytest.approx(part, rel=1e-3)
+
+
 def test_a_direction_has_the_degrees_of_freedom_of_its_own_fit():
     """Five speeds forward and eight backward leave 3 and 6; for the mean, Welch-Satterthwaite."""
     rng = np.random.default_rng(1)
