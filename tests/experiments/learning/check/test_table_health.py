@@ -153,6 +153,20 @@ def test_another_pattern_is_neither_shift_nor_scale(seed, part):
     assert found.even > found.odd
 
 
+def test_what_shift_and_scale_leave_scatters_by_its_uncertainty():
+    variances = []
+    for other in (1, 3):
+        learnings = [learned(seed) for seed in range(15)]
+        found = [
+            checked(table, u, now(table, seed, other=other)).unexplained
+            for seed, (table, u) in enumerate(learnings)
+        ]
+        scatter = np.var([one.value for one in found], ddof=1)
+        variances.append((scatter, np.mean([one.u**2 for one in found])))
+    scatter, stated = np.mean(variances, axis=0)
+    assert 1 < stated / scatter < 2.2**2
+
+
 def test_a_larger_pattern_is_reported_by_its_scale():
     table, u = learned()
     found = checked(table, u, now(table, scale=1.4))
