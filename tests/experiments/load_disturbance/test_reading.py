@@ -145,6 +145,22 @@ def test_the_budget_holds_scatter_zero_disturbance_and_misfit(sliding, unloaded)
     assert budget["scatter"].dof > 0
 
 
+def test_strokes_without_load_hide_as_much_of_an_error_as_their_mean_scatters(
+    sliding, unloaded, monkeypatch
+):
+    """Where all strokes scatter alike, and hide all that the disturbance leaves."""
+    monkeypatch.setattr(reading, "scatter_of_mean", lambda torques, fitted: 1.0)
+
+    def hidden(count):
+        pair = compared(unloaded, 0.03)
+        found = read(sliding.learned, replace(pair, unloaded=count * pair.unloaded))
+        return {line.name: line.u for line in found.quantity.budget}["what the disturbance leaves"]
+
+    alone = hidden(1)
+    for count in (2, 3):
+        assert (hidden(count) / alone) ** 2 == pytest.approx((1 + 1 / count) / 2)
+
+
 def test_strokes_without_load_that_pairs_share_show_their_payback_once(
     sliding, unloaded, monkeypatch
 ):
