@@ -75,6 +75,17 @@ def test_orders_are_kept_as_benjamini_and_hochberg_do():
     assert expected.sum() == 3
 
 
+@pytest.mark.parametrize("cycles", [2, 3, 20])
+@pytest.mark.parametrize(("order", "real"), [(0, 1), (2, 2)])
+def test_an_order_alone_is_kept_beyond_its_quantile_of_f(order, real, cycles):
+    """Few cycles estimate their own noise from few numbers: two real ones an order and cycle."""
+    quantile = f.isf(MAX_CHANCE_PART, real, real * (cycles - 1))
+    for part, kept in ((0.999, []), (1.001, [order])):
+        mean, chance = np.zeros(5), np.full(5, 2.0)
+        mean[order] = part * quantile * chance[order]
+        assert np.flatnonzero(Repeatability(mean, chance, cycles).kept()).tolist() == kept
+
+
 def test_what_is_zero_or_exact_needs_no_chance():
     nothing = repeatability(np.zeros((3, 64)))
     assert not nothing.kept().any()
