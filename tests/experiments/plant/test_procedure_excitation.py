@@ -97,9 +97,10 @@ def test_both_directions_turn_for_all_periods():
         assert profile.speeds == (0.0, 10.0 * sign, 10.0 * sign, 0.0)
 
 
-@pytest.mark.parametrize("wished", [2.0, 3.0, 4.4])
-def test_a_stroke_lasts_whole_periods_and_holds_them_all(wished):
-    own = recipe(f"stroke_speeds=[{wished}]", "realisations=1", attachment="instrument")
+@pytest.mark.parametrize(("wished", "settle"), [(2.0, 0.2), (3.0, 0.2), (3.0, 0.05), (4.4, 0.1)])
+def test_a_stroke_lasts_whole_periods_and_holds_them_all(wished, settle):
+    speeds, settling = f"stroke_speeds=[{wished}]", f"settle_time={settle}"
+    own = recipe(speeds, settling, "realisations=1", attachment="instrument")
     (found,) = excitations(own)
     (task,) = tasks(own, found)
     motion, settings = task.motion, own.identify_plant
