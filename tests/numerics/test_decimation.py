@@ -51,6 +51,13 @@ def test_blocks_of_any_size_give_the_same_as_the_whole(factor, sizes, size):
     np.testing.assert_allclose(decimated(signals, factor, sizes), whole, rtol=0, atol=1e-13)
 
 
+@pytest.mark.parametrize("sizes", [[1] * 70, [32], [33], [5, 0, 26, 1, 1]])
+def test_blocks_shorter_than_half_the_filter_give_the_same_as_the_whole(sizes):
+    signals = np.random.default_rng(2).normal(size=(2, 200))
+    whole = decimated(signals, 8)
+    np.testing.assert_allclose(decimated(signals, 8, sizes), whole, rtol=0, atol=1e-13)
+
+
 def test_every_sample_is_kept_as_it_is():
     signals = np.random.default_rng(1).normal(size=(3, 50))
     np.testing.assert_array_equal(decimated(signals, 1, [7, 0, 20]), signals)
