@@ -430,6 +430,18 @@ def test_one_level_of_friction_leaves_offset_and_asymmetry_together():
     assert found.asymmetry[0] == 0
 
 
+@pytest.mark.parametrize(("asymmetry_u", "separated"), [(0.095, True), (0.105, False)])
+def test_an_asymmetry_is_separated_that_is_known_to_a_tenth(asymmetry_u, separated):
+    """Otherwise a tenth of friction may be in the offset: u of a slope, written out."""
+    level = np.array([2.3e-3, 2.4e-3, 3.7e-3, 4.75e-3])
+    u = asymmetry_u * math.sqrt(np.sum((level - level.mean()) ** 2))
+    found = separate_offset(level, np.zeros(4), np.full(4, u), np.zeros(4))
+    assert found.separated == separated
+    assert found.asymmetry == pytest.approx((0.0, asymmetry_u if separated else 0.1), abs=1e-12)
+    if not separated:
+        assert found.offset[1] == pytest.approx(math.hypot(u / 2, 0.1 * level.mean()))
+
+
 @pytest.mark.parametrize("spanned", [0.1e-3, 1.5e-3])
 def test_offset_and_asymmetry_scatter_by_their_uncertainty(spanned):
     """Viscous friction that differs between directions shows at the same speeds."""
