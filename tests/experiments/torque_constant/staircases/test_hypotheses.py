@@ -8,7 +8,13 @@ import pytest
 
 from rigtool.experiments.torque_constant.staircases import hypotheses
 from rigtool.experiments.torque_constant.staircases.fit import fit_staircases
-from rigtool.experiments.torque_constant.staircases.hypotheses import _ranges, _search, weighed
+from rigtool.experiments.torque_constant.staircases.hypotheses import (
+    Weighed,
+    _ranges,
+    _search,
+    weigh_hypotheses,
+    weighed,
+)
 from rigtool.experiments.torque_constant.staircases.plateaus import plateaus_of_set_point
 from rigtool.experiments.torque_constant.staircases.winding_time import (
     LONGEST_TIME_CONSTANT,
@@ -108,6 +114,25 @@ def test_the_thermometer_weighs_time_constants():
     chosen = np.log([tried.best(number).time_constant for number in (1e-6, 1e6)])
     least = tried.place[np.argmin(tried.square[:, 0]), 1]
     assert chosen == pytest.approx([3.6, least], abs=0.1)
+
+
+def test_the_spread_is_that_of_constants_drawn_from_all_hypotheses(monkeypatch):
+    """Each as often as it is probable, with the variance that it leaves."""
+    random = np.random.default_rng(1)
+    slope = np.array([4.0, 0.5, 2.0, 0.3]) * random.standard_normal((40, 4)) + 50.0
+    square, variance = random.uniform(1.0, 1.1, 40), random.uniform(1.0, 4.0, (40, 4))
+    found = Weighed(None, random.uniform(size=40), square, 30.0, slope, variance)
+    means = SimpleNamespace(dof=1, arm=None, move_arm=lambda best: None)
+    monkeypatch.setattr(hypotheses, "MeanStaircases", lambda *given: means)
+    monkeypatch.setattr(hypotheses, "_prepare", lambda *given: [None])
+    monkeypatch.setattr(hypotheses, "weighed", lambda *given: found)
+    shown = weigh_hypotheses(SimpleNamespace(), 0.0, np.zeros(1))
+    one = random.choice(40, 400_000, p=found.probable())
+    drawn = slope[one] + np.sqrt(variance[one]) * random.standard_normal((one.size, 4))
+    spread = drawn.std(axis=0)
+    assert shown.constant == pytest.approx(drawn[:, 0].mean(), abs=0.02)
+    stated = [shown.spread, shown.drift, shown.steady_drift]
+    assert stated == pytest.approx(spread[[0, 1, 3]], rel=0.01)
 
 
 @pytest.mark.parametrize("kinds", [1, 3])
