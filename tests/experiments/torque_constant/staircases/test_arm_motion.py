@@ -35,18 +35,19 @@ def staircase(rng=None, noise=0.0, arm=ARM):
     return replace(bare, course=torque[:, :, None] + swings, dropped=np.zeros(swings.shape))
 
 
-@pytest.mark.parametrize("exponent", [0.7, 1.0, 1.6])
-def test_what_is_kept_of_the_state_before_is_its_derivative(exponent):
+@pytest.mark.parametrize(("exponent", "asymmetry"), [(0.7, 0.0), (1.0, -0.2), (1.6, 0.2)])
+def test_what_is_kept_of_friction_before_is_its_derivative(exponent, asymmetry):
     """By differences, where friction is too small to change the motion."""
-    weak = replace(CONTACTS, level=1e-9, exponent=exponent)
+    weak = replace(CONTACTS, level=1e-9, exponent=exponent, asymmetry=asymmetry)
 
-    def states(z):
+    def after(z):
         moved = replace(weak, state=np.where(np.arange(len(LEVELS)) > 0, weak.state, z))
         a, b = ARM.friction_state(staircase(), moved)
-        return a[0] + b[0] * z, b[0]
+        before = z * (1 + asymmetry * z)
+        return before, a[0] + b[0] * before, b[0]
 
-    (above, _), (below, _), (_, kept) = states(1e-4), states(-1e-4), states(0.0)
-    assert_allclose(kept, (above - below) / 2e-4, atol=1e-4)
+    (high, above, _), (low, below, _), (_, _, kept) = after(0.3001), after(0.2999), after(0.3)
+    assert_allclose(kept, (above - below) / (high - low), atol=1e-4)
     assert 0.05 < kept[1] < 0.9
 
 
