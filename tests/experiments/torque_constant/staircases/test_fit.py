@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from scipy import linalg, stats
 
+from rigtool.experiments.torque_constant.staircases import fit as fitted
 from rigtool.experiments.torque_constant.staircases.fit import (
     _about,
     _bend,
     _heat_loss,
     _lack_of_fit,
     _scatter,
+    _solve,
 )
 from rigtool.experiments.torque_constant.staircases.least_squares import LeastSquares
 from rigtool.numerics.residual_covariance import independent_samples, long_run_covariance
@@ -145,6 +147,25 @@ def test_lack_of_fit_is_what_scatter_and_rounding_do_not_explain():
     assert found == pytest.approx(0.64 * whole, rel=1e-9)
     assert dof == expected
     assert _lack_of_fit(stairs, solution, average, whole)[0] == 0
+
+
+def test_a_kelvin_of_heat_takes_as_much_of_the_constant_at_any_temperature(monkeypatch):
+    """Torques without noise, of a constant that falls along a line down to the winding's heat."""
+    rise, coefficient, loss = np.array([-40.0, 0.0, 15.0, 25.0]), -4e-3, 2e-3
+    heat = np.cumsum(CURRENT**2, axis=1) / P
+    stairs = SimpleNamespace(
+        torque=0.05 * (1 + coefficient * rise[:, None] - loss * heat) * CURRENT + 0.01,
+        current=CURRENT,
+        weight=ONES,
+        last_step=np.diff(CURRENT, axis=1, prepend=0.0),
+        rotor_angle=QUARTERS,
+        courses=SimpleNamespace(kind=np.arange(M)),
+    )
+    monkeypatch.setattr(fitted, "winding", lambda *given: (heat, 20 + rise[:, None] * ONES))
+    found = _solve(stairs, 30.0, (), coefficient, rise)
+    np.testing.assert_allclose(found.loss, loss, rtol=1e-9)
+    np.testing.assert_allclose(found.slope, 0.05 * (1 + coefficient * rise), rtol=1e-9)
+    np.testing.assert_allclose(found.temperature, 20 + rise)
 
 
 @pytest.mark.parametrize(("rise", "coefficient"), [(1.0, 0.0), (10.0, -1.2e-3)])
