@@ -19,6 +19,7 @@ FIT = PlantFit(
 def experiment(direction, seed, friction, *, turned=False, noise=2e-6):
     """Return a shaft at 4 rad/s whose speed swings by 1.3 rad/s, rms, against `friction(|v|)`.
 
+    It begins 9 rad from the encoder's zero, on the side of the `seed`.
     With `turned` the excitation of every second period has the other sign.
     """
     rng = np.random.default_rng(seed)
@@ -43,6 +44,7 @@ def experiment(direction, seed, friction, *, turned=False, noise=2e-6):
     torque = signs * plain + direction * friction(4 + direction * signs * speed)
     torque = torque + noise * rng.standard_normal(torque.shape)
     turning = direction * 4 * SAMPLE_TIME * np.arange(PERIODS * SAMPLES).reshape(PERIODS, -1)
+    turning = turning + 9 * (-1) ** (seed // 2)
     made = Experiment(signs * plain, torque, signs * output, turning + signs * output)
     return made, signs[0] * speed
 
