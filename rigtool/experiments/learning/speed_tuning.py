@@ -157,10 +157,10 @@ def written_out(position: Array, learned: Row, tuning: Tuning) -> tuple[LookupTa
     speeds = _fine_speeds(tuning, leading_order(wave) if wave.any() else 1)
     amplitude, shift = tuning.at(speeds)
     order = np.arange(1, wave.size + 1)
-    plain = wave * np.exp(1j * np.outer(shift, order))
-    turned = amplitude[:, None] * plain
+    phase = np.exp(1j * np.outer(shift, order))
+    turned = amplitude[:, None] * wave * phase
     torque, per_amplitude, per_shift = (
-        _by_angle(each, position.size) for each in (turned, plain, 1j * order * turned)
+        _by_angle(each, position.size) for each in (turned, wave * phase, 1j * order * turned)
     )
     amplitude_u, shift_u = (
         np.interp(speeds, tuning.speed, u)[:, None] for u in (tuning.amplitude_u, tuning.shift_u)
