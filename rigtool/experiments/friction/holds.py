@@ -16,6 +16,7 @@ are left out.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -262,6 +263,35 @@ def _warm_up(values: Array) -> int:
 
 def _uncertainty(torque: Array, revolutions: int) -> tuple[float, float]:
     """Return the standard uncertainty of the mean of correlated samples, and its dof."""
+    return mean_uncertainties([(torque, revolutions)])[0]
+
+
+def mean_uncertainties(series: Sequence[tuple[Array, int]]) -> list[tuple[float, float]]:
+    """Return the standard uncertainty of each mean of correlated samples, N m, and its dof.
+
+    The `series` (n,), N m, each with its whole turns, last equally long: they share the corner of
+    their noise, and each has its own level.
+    """
+    noise = [_noise_by_corner(*one) for one in series]
+    log_likelihood = np.sum([likelihood for _, likelihood, _ in noise], axis=0)
+    likelihood = np.exp(log_likelihood - log_likelihood.max())
+    likelihood /= likelihood.sum()
+    found = []
+    for log_u2, _, count in noise:
+        if not np.isfinite(log_u2).all():  # no noise
+            found.append((0.0, 2.0 * count))
+            continue
+        mean = float(likelihood @ log_u2)
+        spread = float(likelihood @ (log_u2 - mean) ** 2) + 1 / count
+        found.append((math.exp(mean / 2), 2 / spread))
+    return found
+
+
+def _noise_by_corner(torque: Array, revolutions: int) -> tuple[Array, Array, int]:
+    """Return log u^2 of a mean and its log-likelihood by corner, and the number of ordinates.
+
+    The logarithm is minus infinity where there is no noise.
+    """
     n = len(torque)
     power = np.abs(np.fft.rfft(torque - np.mean(torque))) ** 2 / n
     k = np.arange(1, len(power))
@@ -269,17 +299,12 @@ def _uncertainty(torque: Array, revolutions: int) -> tuple[float, float]:
         k = k[k % revolutions != 0]
     k = k[:NOISE_ORDINATES]
     if not power[k].any():
-        return 0.0, 2.0 * len(k)
+        return np.full(NOISE_CORNERS.shape, -np.inf), np.zeros(NOISE_CORNERS.shape), len(k)
     shape = 1 + (k / NOISE_CORNERS[:, None]) ** 2
     level = (power[k] * shape).mean(axis=1)
     log_likelihood = np.log(shape).sum(axis=1) - len(k) * np.log(level)
-    likelihood = np.exp(log_likelihood - log_likelihood.max())
-    likelihood /= likelihood.sum()
     cycles = 2 * np.pi * NOISE_CORNERS
-    log_u2 = np.log(level * (1 + np.expm1(-cycles) / cycles) / n)
-    mean = float(likelihood @ log_u2)
-    spread = float(likelihood @ (log_u2 - mean) ** 2) + 1 / len(k)
-    return math.exp(mean / 2), 2 / spread
+    return np.log(level * (1 + np.expm1(-cycles) / cycles) / n), log_likelihood, len(k)
 
 
 def _shaking(torque: Array, sample: float, inertia: float) -> float:

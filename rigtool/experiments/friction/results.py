@@ -326,7 +326,7 @@ def torque_speed_table(curve: TorqueSpeed, label: str) -> Table:
         {
             "speed": Column(curve.speed, "rad/s"),
             "torque": Column(curve.torque, "N m", "of the controller, without feed-forward"),
-            "u": Column(curve.u, "N m", "standard uncertainty from the scatter of turns"),
+            "u": Column(curve.u, "N m", "standard uncertainty from scatter within the bin"),
             "dof": dof_column(curve.dof),
             "revolutions": Column(curve.revolutions, "1", "whole turns averaged"),
         },

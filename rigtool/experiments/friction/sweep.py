@@ -1,19 +1,24 @@
 """Torque against speed from a slow sweep [7.2.1, 7.2.2, Fig. 30, 32, 34].
 
 torque(v) = mean of (torque - J a) over the samples in a bin of speed. In a bin through which the
-shaft turns more than once the mean covers whole revolutions only, so that ripple averages out.
+shaft turns more than once the mean covers whole revolutions only, so that ripple averages out. Its
+standard uncertainty is that of correlated samples, from the spectrum over the angle between the
+orders of the ripple, as in a hold: neighbouring turns share slow noise, and their scatter alone
+shows too little of it.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.friction.holds import MIN_SAMPLES, mean_uncertainties
 from rigtool.numerics.arrays import TINY, Array
 from rigtool.numerics.checks import require_rising, require_signals
 
@@ -28,8 +33,8 @@ ACCELERATION_LIMIT = 2.0
 class TorqueSpeed:
     """Means by bin, (n,): `speed` in rad/s, `torque` in N m, whole `revolutions` averaged.
 
-    `u` is the standard uncertainty of the torque, N m, from the scatter of the single turns in a
-    bin (GUM 4.2.3), `dof` its degrees of freedom; NaN where a bin has less than two.
+    `u` is the standard uncertainty of the torque, N m, with its degrees of freedom `dof`; NaN where
+    a pass through a bin holds fewer than two turns, in which noise and ripple look alike.
     """
 
     speed: Array
@@ -62,16 +67,14 @@ def torque_speed_curve(
     # One pass through one bin is one stretch of samples.
     label = np.where(swept, number, -1)
     starts = np.concatenate([[0], np.flatnonzero(np.diff(label)) + 1, [len(label)]])
-    rows = []
-    single: dict[int, list[float]] = defaultdict(list)
+    rows, parts = [], []
     for first, last in pairwise(starts.tolist()):
         if label[first] >= 0 and last - first >= 2:
             kept, whole = _whole_turns(angle[first:last])
             part = slice(first + kept.start, first + kept.stop)
             corrected = effort[part] - inertia * acceleration[part]
             rows.append((label[first], np.mean(speed[part]), np.mean(corrected), whole))
-            for turn in np.array_split(corrected, whole) if whole else ():
-                single[int(label[first])].append(float(np.mean(turn)))
+            parts.append((angle[part], speed[part], corrected))
     if not rows:
         raise InsufficientDataError(
             f"the speed set point leaves each of {SPEED_BINS} ranges of speed with the next "
@@ -81,17 +84,34 @@ def torque_speed_curve(
     # A sweep up and down passes each bin twice: average the passes.
     _, index = np.unique(passes[:, 0], return_inverse=True)
     count = np.bincount(index)
-    speed, torque, turns = (np.bincount(index, weights=passes[:, k]) for k in (1, 2, 3))
-    errors = [_standard_error(single[number]) for number in np.unique(passes[:, 0]).tolist()]
-    u, dof = np.array(errors).T
-    return TorqueSpeed(speed / count, torque / count, turns.astype(np.float64), u, dof)
+    sums: list[Array] = [np.bincount(index, column).astype(float) for column in passes[:, 1:].T]
+    middle, level, turns = sums[0] / count, sums[1] / count, sums[2]
+    slope = np.gradient(level, middle)[index] if len(level) > 1 else np.zeros(len(passes))
+    u, dof = _noise(parts, passes[:, 3].astype(int), slope)
+    square, fourth = np.bincount(index, u**2), np.bincount(index, u**4 / dof)
+    with np.errstate(invalid="ignore"):  # Welch and Satterthwaite
+        return TorqueSpeed(middle, level, turns, np.sqrt(square) / count, square**2 / fourth)
 
 
-def _standard_error(means: list[float]) -> tuple[float, float]:
-    """Return the standard uncertainty of a mean and its degrees of freedom."""
-    if len(means) < 2:
-        return float("nan"), float("nan")
-    return float(np.std(means, ddof=1) / np.sqrt(len(means))), len(means) - 1.0
+def _noise(
+    parts: Sequence[tuple[Array, Array, Array]], turns: NDArray[np.intp], slope: Array
+) -> tuple[Array, Array]:
+    """Return u of the mean torque of each pass and its dof (p,); NaN for fewer than two `turns`.
+
+    `parts` hold angle, speed and torque of each pass, `slope` (p,) is that of torque over speed,
+    N m s/rad. Over the angle, ripple keeps its orders while the speed changes.
+    """
+    found = np.full((len(parts), 2), math.nan)
+    shown = [n for n, part in enumerate(parts) if turns[n] >= 2 and len(part[0]) >= MIN_SAMPLES]
+    series = []
+    for n in shown:
+        angle, speed, torque = parts[n]
+        way = np.abs(angle - angle[0])
+        level = torque - slope[n] * (speed - speed.mean())
+        series.append((np.interp(np.linspace(0, way[-1], len(way)), way, level), int(turns[n])))
+    if shown:
+        found[shown] = mean_uncertainties(series)
+    return found[:, 0], found[:, 1]
 
 
 def _whole_turns(angle: Array) -> tuple[slice, int]:

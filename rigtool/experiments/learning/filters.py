@@ -31,6 +31,12 @@ from rigtool.numerics.arrays import Array
 UNIT_CIRCLE_MARGIN = 1e-9
 """A cancelled zero this close to the unit circle would make L infinite at its frequency."""
 
+LESS_LEARNING = (
+    "lower ilc_learn.robustness_hz or ilc_learn.learning_factor, or raise ilc_learn.cancel_radius "
+    "towards 1"
+)
+"""Remedy where learning does not converge."""
+
 
 class Inverse(Protocol):
     """A learning filter L, designed in either way."""
@@ -213,14 +219,15 @@ class Convergence:
         """Frequency of the bound's largest value, Hz."""
         return float(self.frequency[np.argmax(self.bound)])
 
-    def require(self) -> None:
-        """Raise `InsufficientDataError` unless the criterion is below one everywhere (eq. 12)."""
+    def require(self, remedy: str = LESS_LEARNING) -> None:
+        """Raise `InsufficientDataError` unless the criterion is below one everywhere (eq. 12).
+
+        The message ends with the `remedy`.
+        """
         if not self.peak < 1:
             raise InsufficientDataError(
                 f"learning does not converge: |Q (1 - p L T)| is {self.peak:.3g} at "
-                f"{self.peak_frequency:.4g} Hz and must be below 1 at all frequencies; lower "
-                "ilc_learn.robustness_hz or ilc_learn.learning_factor, or raise "
-                "ilc_learn.cancel_radius towards 1"
+                f"{self.peak_frequency:.4g} Hz and must be below 1 at all frequencies; {remedy}"
             )
         if self.bound_peak >= 1:
             raise InsufficientDataError(

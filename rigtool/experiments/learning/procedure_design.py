@@ -10,6 +10,7 @@ from rigtool.control.plant_models import PlantModel
 from rigtool.control.position_loop import Loop, TransferFunction, position_loop
 from rigtool.errors import InsufficientDataError, RecipeError, RunFileError, UsageError
 from rigtool.experiments.learning.filters import (
+    LESS_LEARNING,
     Convergence,
     Inverse,
     Learning,
@@ -152,8 +153,29 @@ def design_filters(recipe: Recipe, plant: Run | None = None) -> FilterDesign:
     if measured is not None:
         frequency = np.union1d(frequency, measured.frequency)
     criterion = convergence(learning, frequency)
-    criterion.require()
+    criterion.require(_remedy(recipe, system))
     return FilterDesign(learning, criterion, nominal.controller, _origin(recipe, plant, learning))
+
+
+def _remedy(recipe: Recipe, system: TransferFunction) -> str:
+    """Return what to change where learning does not converge.
+
+    A zero near z = 1 that is not cancelled, that of a slow integrator, leaves L T above one from
+    its frequency on, whatever Q and p are.
+    """
+    settings, zeros = recipe.ilc_learn, system.zeros()
+    modulus = np.abs(zeros)
+    kept = zeros[(modulus >= settings.cancel_radius) & (modulus < 1) & (zeros.real > 0)]
+    if settings.learning_filter != "zpetc" or not kept.size:
+        return LESS_LEARNING
+    slowest = kept[np.argmax(np.abs(kept))]
+    radius = float(np.abs(slowest))
+    slow = float(np.abs(np.log(slowest))) / (2 * np.pi * recipe.rig.sample_time)
+    return (
+        f"the loop has a zero at {slow:.3g} Hz, radius {radius:.8g}, as of a slow integrator, "
+        f"which ilc_learn.cancel_radius = {settings.cancel_radius:g} does not cancel: raise it "
+        "above that radius, or raise rig.controller.integrator_hz"
+    )
 
 
 def _inverse(recipe: Recipe, system: TransferFunction, measured: MeasuredLoop | None) -> Inverse:

@@ -150,20 +150,34 @@ def best_shift(wave: Orders, other: Orders, near: float, reach: float) -> float:
 def written_out(position: Array, learned: Row, tuning: Tuning) -> tuple[LookupTable, Array]:
     """Return the map as a table by position and speed, and its standard uncertainty, of that shape.
 
-    The uncertainty is that of the map, times the amplitude. `position` (n,) rad is a whole turn.
+    The uncertainty has the map's, times the amplitude, and those of amplitude and shift.
+    `position` (n,) rad is a whole turn.
     """
     wave = _orders(learned.mean)
     speeds = _fine_speeds(tuning, leading_order(wave) if wave.any() else 1)
     amplitude, shift = tuning.at(speeds)
     order = np.arange(1, wave.size + 1)
-    turned = amplitude[:, None] * wave * np.exp(1j * np.outer(shift, order))
-    whole = np.concatenate([np.zeros((len(speeds), 1)), turned], axis=1)
-    torque = np.fft.irfft(whole * position.size, position.size)
+    phase = np.exp(1j * np.outer(shift, order))
+    turned = amplitude[:, None] * wave * phase
+    torque, per_amplitude, per_shift = (
+        _by_angle(each, position.size) for each in (turned, wave * phase, 1j * order * turned)
+    )
+    amplitude_u, shift_u = (
+        np.interp(speeds, tuning.speed, u)[:, None] for u in (tuning.amplitude_u, tuning.shift_u)
+    )
+    variance = (amplitude[:, None] * learned.u) ** 2
+    variance += (per_amplitude * amplitude_u) ** 2 + (per_shift * shift_u) ** 2
     lowest = float(np.abs(speeds).min())
     table = LookupTable(
         position, speeds, torque, np.array([0.0, lowest]), np.array([0.0, 1.0]), period=2 * math.pi
     )
-    return table, amplitude[:, None] * np.broadcast_to(learned.u, torque.shape)
+    return table, np.sqrt(variance)
+
+
+def _by_angle(orders: Orders, size: int) -> Array:
+    """Return the values (..., size) by angle of orders 1.. (..., m)."""
+    whole = np.concatenate([np.zeros_like(orders[..., :1]), orders], axis=-1)
+    return np.fft.irfft(whole * size, size)
 
 
 def _fine_speeds(tuning: Tuning, order: int) -> Array:

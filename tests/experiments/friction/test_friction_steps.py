@@ -9,7 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from scipy.signal import lfilter
 from scipy.stats import chi2
+from scipy.stats import t as student
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.friction import procedure, procedure_analysis
@@ -309,8 +311,7 @@ def swept(top=30.0, seconds=60.0, sample=2e-3, back=False):
 
 @pytest.mark.parametrize("back", [False, True])
 def test_a_bin_of_a_sweep_is_the_mean_of_its_whole_turns(back):
-    """Torque less that of the inertia; ripple of the turn is none of it, and u is the scatter of
-    single turns."""
+    """Torque less that of the inertia; ripple of the turn is none of it."""
     inertia, rng = 3e-5, np.random.default_rng(5)
     time, angle, speed = swept(back=back)
     per_turn = 1e-4 * rng.standard_normal(int(angle[-1] / (2 * np.pi)) + 2)
@@ -330,10 +331,30 @@ def test_a_bin_of_a_sweep_is_the_mean_of_its_whole_turns(back):
     assert np.all(found.revolutions[10:-2] >= passes * (turns[10:-2] - 1.1))
     off = (found.torque - 2e-3 - 5e-5 * found.speed)[turning]
     assert np.abs(off).max() < 5e-4
-    # turns of a bin begin anywhere in those that were drawn: two parts of one, 2/3 of the variance
-    square = np.mean(found.u[turning] ** 2 * found.revolutions[turning])
-    assert_allclose(math.sqrt(square), math.sqrt(2 / 3) * 1e-4, rtol=0.25)
-    assert np.isnan(found.u[found.revolutions < 2]).all()
+    # two turns of one pass show noise beside ripple
+    assert np.isfinite(found.u[found.revolutions >= 3 * passes - 1]).all()
+    assert np.isnan(found.u[found.revolutions < 2 * passes - 1]).all()
+
+
+@pytest.mark.parametrize("back", [False, True])
+@pytest.mark.parametrize("corner_time", [0.0, 0.15])
+def test_u_of_a_sweep_is_the_scatter_of_repeats(back, corner_time):
+    """Neighbouring turns share noise that varies in 0.15 s; slope and ripple are none of it."""
+    rng, sample = np.random.default_rng(6), 2e-3
+    time, angle, speed = swept(seconds=120.0 if back else 60.0, sample=sample, back=back)
+    kept = math.exp(-sample / corner_time) if corner_time else 0.0
+    found = []
+    for _ in range(30):
+        white = math.sqrt(1 - kept**2) * 1e-4 * rng.standard_normal(len(time))
+        ripple = 1e-3 * np.cos(angle + rng.uniform(0, 2 * np.pi))
+        torque = 2e-3 + 5e-5 * speed + ripple + lfilter([1.0], [1.0, -kept], white)
+        curve = torque_speed_curve(time=time, setpoint=angle, torque=torque, inertia=0.0)
+        found.append((curve.torque - 5e-5 * curve.speed, curve.u, curve.dof))
+    level, u, dof = np.moveaxis(np.array(found)[..., 30:], 1, 0)
+    scatter = level.std(axis=0, ddof=1) / np.sqrt(np.mean(u**2, axis=0))
+    assert_allclose(np.sqrt(np.mean(scatter**2)), 1.0, atol=0.15)
+    inside = np.abs(level - level.mean(axis=0)) <= u * student.ppf(0.975, dof)
+    assert 0.92 < np.mean(inside) < 0.98
 
 
 # -- breakaway

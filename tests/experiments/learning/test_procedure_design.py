@@ -132,6 +132,18 @@ def test_learning_beyond_what_the_plant_carries_is_refused(plant):
     design_filters(recipe("ilc_learn.robustness_hz=3000"))
 
 
+def test_a_slow_integrator_whose_zero_is_not_cancelled_is_named():
+    """Neither Q nor p help there; both remedies that are named do."""
+    slow = ("rig.controller.integrator_hz=1", "rig.controller.crossover_hz=12")
+    with pytest.raises(InsufficientDataError, match=r"zero at 1 Hz, radius 0\.999214.*integrator"):
+        design_filters(recipe(*slow))
+    for useless in ("ilc_learn.robustness_hz=5", "ilc_learn.learning_factor=0.01"):
+        with pytest.raises(InsufficientDataError, match=r"does not converge.*zero at 1 Hz"):
+            design_filters(recipe(*slow, useless))
+    assert design_filters(recipe(*slow, "ilc_learn.cancel_radius=0.99922")).criterion.peak < 1
+    assert design_filters(recipe("rig.controller.integrator_hz=1.3", slow[1])).criterion.peak < 1
+
+
 def test_a_cut_off_that_no_sample_shows_is_refused():
     with pytest.raises(RecipeError, match="4000 Hz reaches half the sampling rate"):
         design_filters(recipe("ilc_learn.robustness_hz=4000"))

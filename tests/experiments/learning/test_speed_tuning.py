@@ -107,6 +107,24 @@ def test_the_table_written_out_is_the_map_with_amplitude_and_phase():
     np.testing.assert_allclose(table.evaluate(position, speed), expected, rtol=0, atol=0.03e-3)
 
 
+def test_u_of_the_table_has_that_of_amplitude_and_shift():
+    """At 0.3 of the map, the other speed's noise in both is more than that of the map itself."""
+    angles = np.arange(1, 7)[:, None] * POSITION
+    waves, tables, us = np.array([np.cos(angles), np.sin(angles)]), [], []
+    for seed in range(60):
+        rng = np.random.default_rng([11, seed])
+        one, other = (
+            1e-4 * (rng.standard_normal((2, TURNS, 6)) @ waves).sum(axis=0) for _ in range(2)
+        )
+        learned = Row(6.0, shape(POSITION) + one)
+        found = tune(learned, [Row(12.0, 0.3 * shape(POSITION + 0.2) + other)])
+        table, u = written_out(POSITION, learned, found)
+        tables.append(table.torque[-1])
+        us.append(u[-1])
+    scatter = np.array(tables).std(axis=0, ddof=1)
+    assert np.sqrt(np.mean(np.square(us))) == pytest.approx(np.sqrt(np.mean(scatter**2)), rel=0.15)
+
+
 @settings(max_examples=50, deadline=None)
 @given(shift=st.floats(-1.4, 1.4), near=st.floats(-0.1, 0.1))
 def test_the_best_shift_is_the_true_one_without_noise(shift, near):

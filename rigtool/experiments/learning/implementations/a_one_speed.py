@@ -147,10 +147,10 @@ class OneSpeed(BareMotor[TaughtMap]):
                 {
                     "speed": Column(t.speed, "rad/s", "of the motor shaft"),
                     "amplitude": Column(t.amplitude, "1", "factor on the map"),
-                    "amplitude_u": Column(t.amplitude_u, "1", "standard uncertainty"),
+                    "amplitude_u": Column(t.amplitude_u, "1", "standard, for this map"),
                     "dof": dof_column(t.dof),
                     "shift": Column(t.shift, "rad", "added to the position"),
-                    "shift_u": Column(t.shift_u, "rad", "standard uncertainty"),
+                    "shift_u": Column(t.shift_u, "rad", "standard, for this map"),
                     "correlation": Column(
                         t.correlation, "1", "of the shifted map with the repeatable part"
                     ),
