@@ -1472,6 +1472,7 @@ static inline int rs_read(struct rigtool_sensor *s)
 static inline void rigtool_sensor_init(struct rigtool_sensor *s)
 {
     memset(s, 0, sizeof *s);
+    s->limit_left = RS_LIMIT_STEPS + 1; /* until the filter has found the motion */
     s->reading.torque = s->reading.u = s->reading.low = s->reading.high = (rs_real)NAN;
 }
 

@@ -34,7 +34,8 @@ UNSEEN_TIME = 0.25
 5 s, as the ripple's rows expect, 5 % begin within it, which a 95 % interval leaves out."""
 
 LIMIT_TIME = 0.1
-"""Time about a current at its limit in which the torque has no value, s."""
+"""Time about a current at its limit, and behind the begin of a filter, in which the torque has no
+value, s. Errors of filters that begin in motion are as usual from then on."""
 
 SPEED_TIME = 0.05
 """Time over which a speed is averaged before the comparison with learned speeds, s."""

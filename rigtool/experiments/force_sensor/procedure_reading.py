@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.controller_torque import smallest_gain
 from rigtool.experiments.force_filter.estimate import PIECE_STEPS
 from rigtool.experiments.force_filter.motion_states import Reach
 from rigtool.experiments.force_model.force_model import ForceModel
@@ -27,7 +28,9 @@ from rigtool.runfile import Recording, Run
 NEEDED_CHANNELS = ("time", "encoder", "current_setpoint", "temperature")
 """Channels that the torque is read from; `current_setpoint` is all of the motor's current."""
 
-REFERENCE_CHANNEL = "reference_torque"
+REFERENCE_CHANNEL, SETPOINT_CHANNEL = "reference_torque", "position_setpoint"
+"""Channels that are read where they are: what acted, which informs nothing, and where the rig's own
+loop takes the rotor."""
 
 LONGEST_INTERVAL = 0.01
 """Time between samples, s: what is longer hides how friction changes in a reversal."""
@@ -89,6 +92,8 @@ def read_recording(
     require_interval(interval, recording.name)
     instrument = instrument_of(recipe, kt, model, reach, interval)
     counts = round(moved / instrument.count)
+    commanded = recording.has(SETPOINT_CHANNEL)
+    gain = smallest_gain(recipe) if commanded else 0.0
     parts: list[TorqueRows] = []
     breaks, read, done = -1, 0.0, 0
     with ThreadPoolExecutor(1) as smoothing, ThreadPoolExecutor(1) as testing:
@@ -109,12 +114,14 @@ def read_recording(
                     began,
                     left,
                     (smoothing, testing),
-                    commanded=recording.has("position_setpoint"),
+                    commanded=commanded,
+                    gain=gain,
                 )
             done += block.shape[1]
             if counts:
                 block[1] -= counts
-            stretch.add(block[1:])
+            rows = block[1:]
+            stretch.add(*((rows[:-1], rows[-1]) if commanded else (rows,)))
         if stretch is not None:
             parts += stretch.reading()
             read += stretch.seconds
@@ -139,17 +146,15 @@ def _interval(recording: Recording, recipe: Recipe) -> float:
 def unbroken_blocks(
     recording: Recording, instrument: SensorProperties
 ) -> Iterator[tuple[Array, bool]]:
-    """Yield the channels (c, n), time first, and whether a sample is missing before them.
+    """Yield the channels (c, n), time first, reference and set point last, and whether a sample is
+    missing before them.
 
-    Samples with NaN are left out; a reference may be NaN, and informs nothing. Of what lies between
+    Samples with NaN are left out; a reference and a set point may be NaN. Of what lies between
     two gaps and is too short to be analysed, no sample is yielded: thousands of filters would begin
     for nothing.
     """
-    names = (
-        (*NEEDED_CHANNELS, REFERENCE_CHANNEL)
-        if recording.has(REFERENCE_CHANNEL)
-        else NEEDED_CHANNELS
-    )
+    optional = filter(recording.has, (REFERENCE_CHANNEL, SETPOINT_CHANNEL))
+    names = (*NEEDED_CHANNELS, *optional)
     grid, interval = instrument.grid, instrument.interval
     piece = max(1, round(PIECE_STEPS * grid.step_time / interval))
     shortest = shortest_stretch(instrument.corner_hz) - 2 * grid.step_time

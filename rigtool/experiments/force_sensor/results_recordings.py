@@ -10,7 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR, JUDGED_STATES
-from rigtool.experiments.force_filter.motion_states import CREEPING_KIND, STATE_NAMES, Reach, State
+from rigtool.experiments.force_filter.motion_states import (
+    CREEPING_KIND,
+    LIMIT_TIME,
+    STATE_NAMES,
+    Reach,
+    State,
+)
 from rigtool.experiments.force_model.contacts import (
     FALSE_ALARMS,
     JUMP_WINDOW,
@@ -158,9 +164,10 @@ def _notes(
     ]
     if (outside := 1 - known.mean()) > 0:
         limit = any(part.limited for r in recordings for part in r.parts)
-        why = ", or about a current at its limit" if limit else ""
+        why = ", about a current at its limit" if limit else ""
         notes.append(
-            f"no value in {100 * outside:.1f} % of the time: outside what was learned{why}"
+            f"no value in {100 * outside:.1f} % of the time: outside what was learned{why}, or "
+            f"within {LIMIT_TIME:g} s behind a begin"
         )
     if lost := sum(r.lost for r in recordings):
         notes.append(

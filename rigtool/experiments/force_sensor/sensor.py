@@ -165,7 +165,8 @@ class Sensed:
 
 
 class Sensor:
-    """Takes samples without a gap; a gap begins another one.
+    """Takes samples without a gap; a gap begins another one. As about a current at its limit, the
+    torque has no value until the filter has found the motion.
 
     Without `context` each sample must be a
     count of the encoder, and an estimate waits for the sample that ends its step alone.
@@ -201,6 +202,8 @@ class Sensor:
         drive = np.column_stack([torque_constant * amperes, amperes])
         estimate, (ripple, variance, less, unfollowed) = self._filtered(signals, drive)
         torque = estimate.passed - ripple
+        if self._before is None:
+            found[1][:1] = 1.0
         moments = Moments(
             estimate.low,
             estimate.states[:, SPEED].copy(),  # they wait: the other states' memory goes
@@ -246,11 +249,11 @@ class Sensor:
 
     def _states(self, moments: Moments) -> Judged:
         """Return what is judged of these steps, that follows from the steps before them, too."""
-        before = self._before
-        whole = moments if before is None else Moments.joined(before, moments)
-        self._before = whole.part(-self._judge.span)
         if not len(moments.low):
             none = np.empty(0, dtype=np.int32)
             return Judged(none, none, none.astype(np.int8), none.astype(np.bool_))
+        before = self._before
+        whole = moments if before is None else Moments.joined(before, moments)
+        self._before = whole.part(-self._judge.span)
         first = len(whole.low) - len(moments.low)
         return Judged._make(values[first:] for values in self._judge.judged(whole))

@@ -9,6 +9,11 @@ with friction F, that of the load m, the largest learned torque M and the torque
 changes by more, the encoder does not count, or something blocks the rotor. Means over `WINDOW_TIME`
 are compared: within it, a torque beyond friction turns a rotor by more than a count.
 
+The rig's own loop answers a distance d of rotor and set point with a torque g d or more, g the
+smallest gain of its controller. While the encoder stays at one count, a set point that moves by
+more than the change of torque over g, and `UNEXPLAINED_DISTANCE`, leaves a rotor that the loop does
+not see at rest.
+
 A motor that moves a rig to and fro works against friction. Over a path L within a range R of
 angles, a load that helps in some of the passes does M R / (2 n) at most on the whole. Where the
 motor's work is below -F L / 2 - M R / (2 n), current and encoder have opposite signs, or a hand
@@ -26,6 +31,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rigtool.experiments.controller_torque import UNEXPLAINED_DISTANCE
 from rigtool.experiments.force_filter.motion_states import FASTEST_LEARNED_RATIO
 from rigtool.experiments.force_model.steps import NO_CURRENT
 from rigtool.experiments.force_sensor.sensor import SensorProperties
@@ -75,10 +81,14 @@ class SignalFault:
 class SignalWatch:
     """Watches samples without a gap; they are added as they come.
 
-    Where the rig's own loop moves it, it is `commanded`: nothing else drives it all the time.
+    Where the rig's own loop moves it, it is `commanded`: nothing else drives it all the time. The
+    loop's smallest `gain`, N m/rad, tells how far a set point can leave a rotor at rest; none does
+    where it is zero.
     """
 
-    def __init__(self, instrument: SensorProperties, *, commanded: bool = False) -> None:
+    def __init__(
+        self, instrument: SensorProperties, *, commanded: bool = False, gain: float = 0.0
+    ) -> None:
         own, reach = instrument, instrument.reach
         plant = own.model.plant(own.grid.sample_time)
         housing = plant.housing_friction * (1 + abs(plant.housing_asymmetry))
@@ -87,18 +97,19 @@ class SignalWatch:
         self._held = 2 * friction + carried
         self._braked = (plant.coulomb + plant.housing_friction) / 2
         self._helped = reach.torque / plant.torque_factor / 2
-        self._turn, self._commanded = own.count, commanded
+        self._turn, self._commanded, self._gain = own.count, commanded, gain
         fastest = FASTEST_LEARNED_RATIO * reach.speed * own.interval / own.count
         self._leap = max(LEAP_RATIO * fastest, LEAP_COUNTS)
         self._constant, self._interval = own.torque_constant, own.interval
         self._size = max(1, round(WINDOW_TIME / own.interval))
-        self._waiting, self._last = np.empty((3, 0)), math.nan
+        self._waiting, self._last = np.empty((4, 0)), math.nan
         self._windows: list[Array] = []
         self._leaps: list[Array] = []
         self._count = self._changed = 0
 
-    def add(self, samples: Array) -> None:
-        """Watch samples (c, n): encoder in counts, current A, temperature degC."""
+    def add(self, samples: Array, setpoint: Array | None = None) -> None:
+        """Watch samples (c, n): encoder in counts, current A, temperature degC; and the set point
+        of the position (n,), rad, where the rig's own loop moves it."""
         steps = np.diff(samples[0], prepend=self._last)
         changed = np.append(self._changed - self._count, np.flatnonzero(steps))
         at = changed[1:][np.abs(steps[changed[1:]]) > self._leap]
@@ -110,24 +121,26 @@ class SignalWatch:
         self._count += samples.shape[1]
         if samples.shape[1]:
             self._last = float(samples[0, -1])
-        whole = np.hstack([self._waiting, samples[:3]])
+        wanted = np.full(samples.shape[1], np.nan) if setpoint is None else setpoint
+        whole = np.hstack([self._waiting, np.vstack([samples[:3], wanted])])
         count = whole.shape[1] // self._size
         self._waiting = whole[:, count * self._size :]
         if count:
-            rows = whole[:, : count * self._size].reshape(3, count, self._size)
-            encoder, current = rows[0], rows[1]
+            rows = whole[:, : count * self._size].reshape(4, count, self._size)
+            encoder, current, wanted = rows[0], rows[1], rows[3]
             ends = [f(axis=1) for one in (encoder, current) for f in (one.min, one.max)]
             cold, slope = self._constant
             torque = (cold + slope * rows[2].mean(axis=1)) * current.mean(axis=1)
-            self._windows.append(np.array([*ends, torque, encoder[:, -1] - encoder[:, 0]]))
+            moved = encoder[:, -1] - encoder[:, 0]
+            self._windows.append(np.array([*ends, torque, moved, wanted[:, 0]]))
 
     def faults(self) -> tuple[SignalFault, ...]:
         """Return what was seen so far, in order of time."""
         found = [*self._leaped()]
         if self._windows:
-            low, high, least, most, torque, moved = np.hstack(self._windows)
+            low, high, least, most, torque, moved, wanted = np.hstack(self._windows)
             found += self._opposed(torque, moved * self._turn, float(np.ptp(low)) * self._turn)
-            found += self._stopped(low, low == high, torque)
+            found += self._stopped(low, low == high, torque, wanted)
             found += self._frozen(low, high, most, least == most)
             found += self._cut(most, least, (least == most) & (low < high))
         return tuple(sorted(found, key=lambda one: one.start))
@@ -162,21 +175,35 @@ class SignalWatch:
             self._commanded,
         )
 
-    def _stopped(self, count: Array, still: Mask, torque: Array) -> Iterator[SignalFault]:
+    def _stopped(
+        self, count: Array, still: Mask, torque: Array, wanted: Array
+    ) -> Iterator[SignalFault]:
         for first, last in _runs(count, still):
-            change = float(np.ptp(torque[first:last]))
+            change, left = (float(np.ptp(one[first:last])) for one in (torque, wanted))
+            shown, answer = f"changes by {change * 1e3:.3g} mN m", self._gain * left
             if change > self._held:
-                start, end = self._times(first, last)
-                yield SignalFault(
-                    start,
-                    end,
-                    f"the encoder stays at {count[first]:.0f} from {start:.3f} to {end:.3f} s, "
-                    f"while the motor's torque changes by {change * 1e3:.3g} mN m; friction and "
-                    f"the largest learned load hold a rotor up to {self._held * 1e3:.3g} mN m: the "
-                    "encoder does not count, or the rotor is blocked; no torque has a value there; "
-                    "check the encoder's cable and supply, and record again",
-                    True,
+                why = (
+                    f"the motor's torque {shown}; friction and the largest learned load hold a "
+                    f"rotor up to {self._held * 1e3:.3g} mN m: the encoder does not count, or the "
+                    "rotor is blocked"
                 )
+            elif answer > change + self._gain * UNEXPLAINED_DISTANCE:
+                why = (
+                    f"the set point moves by {left:.3g} rad, and the motor's torque {shown} only; "
+                    f"the loop would answer with {answer * 1e3:.3g} mN m or more: the encoder does "
+                    "not count, or the loop is not that of [rig.controller]"
+                )
+            else:
+                continue
+            start, end = self._times(first, last)
+            yield SignalFault(
+                start,
+                end,
+                f"the encoder stays at {count[first]:.0f} from {start:.3f} to {end:.3f} s, while "
+                f"{why}; no torque has a value there; check the encoder's cable and supply, and "
+                "record again",
+                True,
+            )
 
     def _frozen(self, low: Array, high: Array, most: Array, same: Mask) -> Iterator[SignalFault]:
         rests = low == high

@@ -92,13 +92,14 @@ class Stretch:
         workers: tuple[Executor, Executor],
         *,
         commanded: bool = False,
+        gain: float = 0.0,
     ) -> None:
         step_time = instrument.grid.step_time
         self._name, self._instrument, self._workers = name, instrument, workers
         self._began = began - instrument.interval / 2
         self._every = steps_of_a_row(step_time, instrument.corner_hz)
         self._sensor = Sensor(instrument)
-        self._watch = SignalWatch(instrument, commanded=commanded)
+        self._watch = SignalWatch(instrument, commanded=commanded, gain=gain)
         self._again = instrument.again()
         self._smoother = Smoother(instrument.model.uncertainty, step_time)
         self._untouched: Filter | None = None
@@ -115,10 +116,11 @@ class Stretch:
         self._steps = self._limited = 0
         self.seconds = 0.0
 
-    def add(self, samples: Array, *, last: bool = False) -> None:
-        """Read samples (c, n): encoder, current, temperature, and the reference where it is."""
+    def add(self, samples: Array, setpoint: Array | None = None, *, last: bool = False) -> None:
+        """Read samples (c, n): encoder, current, temperature, and the reference where it is. The
+        set point (n,), rad, is only compared with the encoder."""
         sensed = self._sensor.add(samples, last=last)
-        self._watch.add(samples)
+        self._watch.add(samples, setpoint)
         self._limited += int(np.count_nonzero(self._instrument.limited(samples[1])))
         self._settle(LATE_BLOCKS)
         estimate = sensed.estimate

@@ -6,8 +6,10 @@ with the direction. About each change of speed, with torque and acceleration beh
 
     M = c_0 + c_1 t + J a + e        by least squares
 
-What touches may push the rotor: there, a speed comes back to what it was. A part of J a is taken
-for friction of the strokes, so that the torque may be off for as much between the turns as well.
+What touches may push the rotor: there, a speed comes back to what it was. A slow swing under a
+force looks like a turn, but an inertia is there all the time: most changes of speed show it, also
+those that come back. A part of J a is taken for friction of the strokes, so that the torque may be
+off for as much between the turns as well.
 """
 
 from __future__ import annotations
@@ -39,11 +41,13 @@ TYPICAL_OVER_U, LEAST_OVER_U = 0.5, 0.2
 @dataclass(frozen=True, eq=False)
 class Turns:
     """Changes of speed: largest `acceleration` of the output, rad/s2, with its sign, `inertia` that
-    the torque shows there, kg m2, and its `u`, N m; (k,) each."""
+    the torque shows there, kg m2, and its `u`, N m; (k,) each. `passing` (m,) kg m2 is what those
+    show that come back."""
 
     acceleration: Array = field(default_factory=lambda: np.empty(0))
     inertia: Array = field(default_factory=lambda: np.empty(0))
     u: Array = field(default_factory=lambda: np.empty(0))
+    passing: Array = field(default_factory=lambda: np.empty(0))
 
     @classmethod
     def of(cls, step_time: float, output: Array, known: Mask, torque: Array, u: Array) -> Turns:
@@ -59,19 +63,22 @@ class Turns:
         least = LARGE_PART * np.quantile(np.abs(acceleration), LARGE_QUANTILE)
         side = np.where(np.abs(acceleration) > least, np.sign(acceleration), 0.0)
         edges = np.flatnonzero(np.diff(side, prepend=0.0, append=0.0)).tolist()
-        found = []
+        found, passing = [], []
         for first, last in itertools.pairwise(edges):
             about = slice(first - margin, last + margin)
             if not side[first] or about.start < 0 or about.stop > len(side):
                 continue
             own = acceleration[about]
-            if not known[about].all() or abs(own.sum()) < KEPT * np.abs(own).sum():
+            if not known[about].all():
                 continue
             line = np.stack([np.ones(len(own)), np.linspace(-1, 1, len(own)), own], axis=1)
             inertia = np.linalg.lstsq(line, shown[about])[0][2]
+            if abs(own.sum()) < KEPT * np.abs(own).sum():
+                passing.append(inertia)
+                continue
             largest = side[first] * np.abs(acceleration[first:last]).max()
             found.append((largest, inertia, u[first:last].mean()))
-        return cls(*np.array(found).reshape(-1, 3).T)
+        return cls(*(*np.array(found).reshape(-1, 3).T, np.array(passing)))
 
 
 @dataclass(frozen=True)
@@ -85,10 +92,11 @@ class UnknownInertia:
 
 def unknown_inertia(parts: Sequence[Turns]) -> UnknownInertia | None:
     """Return what the turns of stretches show, the larger of both signs; None where their torques
-    are no more than errors, or not in proportion to the acceleration."""
-    acceleration, inertia, u = (
+    are no more than errors, not in proportion to the acceleration, or where half of all changes of
+    speed show less than half of it."""
+    acceleration, inertia, u, passing = (
         np.concatenate([getattr(part, name) for part in parts])
-        for name in ("acceleration", "inertia", "u")
+        for name in ("acceleration", "inertia", "u", "passing")
     )
     found = []
     for side in (acceleration > 0, acceleration < 0):
@@ -99,4 +107,6 @@ def unknown_inertia(parts: Sequence[Turns]) -> UnknownInertia | None:
         if low < LEAST_OVER_U or middle < TYPICAL_OVER_U:
             return None
         found.append(UnknownInertia(float(np.median(inertia[side])), float(np.median(torque))))
-    return max(found, key=lambda one: one.torque)
+    largest = max(found, key=lambda one: one.torque)
+    every = np.median(np.concatenate([inertia, passing]))
+    return largest if every > largest.inertia / 2 else None

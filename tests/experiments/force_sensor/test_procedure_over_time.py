@@ -12,7 +12,7 @@ import pytest
 
 from rigtool.errors import InsufficientDataError, RecipeError, RunFileError, UsageError
 from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
-from rigtool.experiments.force_filter.motion_states import State
+from rigtool.experiments.force_filter.motion_states import LIMIT_TIME, State
 from rigtool.experiments.force_sensor import procedure_reading
 from rigtool.experiments.force_sensor.procedure_live import LiveForce
 from rigtool.experiments.force_sensor.procedure_over_time import (
@@ -397,8 +397,9 @@ def test_gaps_and_samples_without_value_begin_anew(rig, strokes, live, tmp_path)
         (time > 44000 / rate) & (time < 44400 / rate)
     )
     assert not lost.any()
+    without = 4400 / rate + 3 * LIMIT_TIME  # behind each of three begins
     assert found.results["valid_share"].value == pytest.approx(
-        1 - 4400 / (signals["time"][-1] - signals["time"][0]) / rate, abs=2e-3
+        1 - without / (signals["time"][-1] - signals["time"][0]), abs=2e-3
     )
     unjudged = (time > 30000 / rate) & (time < 30400 / rate)
     assert unjudged.sum() > 5
@@ -418,9 +419,10 @@ def test_a_clock_that_is_off_loses_no_sample(rig, strokes, tmp_path):
         time = signals["time"]
         return {**signals, "time": time + 1e-3 * np.maximum(time - time[8192], 0.0)}
 
-    path, _ = changed(rig, tmp_path, drifting)
+    path, signals = changed(rig, tmp_path, drifting)
     found = run(MEASURE_FORCE, path, tmp_path / "again.h5", kt=KT, tables=rig.tables)
-    assert found.results["valid_share"].value == 1.0
+    begin = LIMIT_TIME / np.ptp(signals["time"])
+    assert found.results["valid_share"].value == pytest.approx(1 - begin, abs=2e-3)
     assert not any("missing" in note for note in found.notes)
 
 

@@ -34,10 +34,11 @@ class Stretches:
     """Stands for stretches: keeps what each was given, and reads all but one sample of it."""
 
     def __init__(self):
-        self.made, self.given = [], []
+        self.made, self.given, self.wanted = [], [], []
 
-    def __call__(self, name, instrument, began, size, workers, *, commanded=False):
+    def __call__(self, name, instrument, began, size, workers, *, commanded=False, gain=0.0):
         assert len(workers) == 2
+        assert gain == (0.7 if commanded else 0.0)
         self.made.append((name, began, size, commanded))
         self.given.append([])
         number = len(self.given) - 1
@@ -47,7 +48,11 @@ class Stretches:
             stretch.seconds = (own - 1) * INTERVAL
             return [f"part {number}"]
 
-        stretch = SimpleNamespace(add=self.given[-1].append, reading=reading, seconds=0.0)
+        def add(samples, setpoint=None):
+            self.given[number].append(samples)
+            self.wanted.append(setpoint)
+
+        stretch = SimpleNamespace(add=add, reading=reading, seconds=0.0)
         return stretch
 
 
@@ -61,6 +66,7 @@ def read(monkeypatch):
         instrument = SimpleNamespace(count=0.01, grid=grid, interval=INTERVAL)
         monkeypatch.setattr(procedure_reading, "Stretch", stretches)
         monkeypatch.setattr(procedure_reading, "instrument_of", lambda *given: instrument)
+        monkeypatch.setattr(procedure_reading, "smallest_gain", lambda recipe: 0.7)
         monkeypatch.setattr(procedure_reading, "unbroken_blocks", lambda *given: iter(blocks))
 
         def times(name, start, stop=None):
@@ -89,6 +95,8 @@ def test_stretches_between_gaps_are_read_one_by_one(read, channels):
         (block(6.0, 0), True),  # too short to be analysed
         (block(7.0, 40), True),
     ]
+    if channels:  # the set point comes last
+        blocks = [(np.vstack([part, -part[0]]), begins) for part, begins in blocks]
     found, stretches = read(blocks, 100, 7.039, channels=channels)
     # with the time that each began at, and room for all that is left of the recording
     expected = [("own", 5.0, 100, bool(channels)), ("own", 7.0, 50, bool(channels))]
@@ -97,6 +105,8 @@ def test_stretches_between_gaps_are_read_one_by_one(read, channels):
         [(3, 30), (3, 20)],
         [(3, 40)],
     ]
+    for wanted, (part, _) in zip(stretches.wanted, (blocks[k] for k in (0, 1, 3)), strict=True):
+        np.testing.assert_array_equal(wanted, -part[0] if channels else None)
     assert (found.name, found.parts, found.breaks) == ("own", ("part 0", "part 1"), 2)
     assert found.lost == pytest.approx(2.040 - 49e-3 - 39e-3)
 

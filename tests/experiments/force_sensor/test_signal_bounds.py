@@ -21,9 +21,9 @@ COUNT = 2 * np.pi / COUNTS
 BOTH = pytest.mark.parametrize("beyond", [False, True])
 
 
-def faults(encoder, current, **options):
+def faults(encoder, current, setpoint=None, **options):
     watch = SignalWatch(instrument(interval=INTERVAL, loop_time=INTERVAL), **options)
-    watch.add(np.array([encoder, current, np.full(len(TIME), WARM)]))
+    watch.add(np.array([encoder, current, np.full(len(TIME), WARM)]), setpoint)
     return watch.faults()
 
 
@@ -50,6 +50,37 @@ def test_a_rotor_at_rest_is_held_by_friction_and_the_largest_load(beyond):
         assert f"changes by {swing * KT * 1e3:.3g} mN m" in fault.text
         assert "stays at 12 " in fault.text
         assert (fault.start, fault.end) == pytest.approx((0.0, 8.0), abs=0.02)
+
+
+@BOTH
+@pytest.mark.parametrize("gain", [0.7, 0.1])
+def test_a_set_point_leaves_a_rotor_at_rest_by_no_more_than_the_loop_answers(beyond, gain):
+    """Strokes of the set point while the encoder stays: 0.1 rad and the change of torque over the
+    loop's smallest gain; without a set point, or a gain, nothing is known."""
+    change = 5e-3
+    most = 0.1 + change / gain
+    phase = np.abs(TIME / 2 % 2 - 1)
+    wanted = 3.0 + most * (1.04 if beyond else 0.96) * phase
+    current = change / KT * np.round(phase) + np.where(TIME < 7, 0.0, 1e-6)
+    still = np.full(len(TIME), 12.0)
+    found = faults(still, current, setpoint=wanted, commanded=True, gain=gain)
+    assert len(found) == beyond
+    for fault in found:
+        assert fault.no_value
+        assert "moves by " + f"{np.ptp(wanted[::20]):.3g} rad" in fault.text
+        assert f"changes by {change * 1e3:.3g} mN m only" in fault.text
+        assert (fault.start, fault.end) == pytest.approx((0.0, 8.0), abs=0.02)
+    assert not faults(still, current, setpoint=wanted, commanded=True)
+    assert not faults(still, current, commanded=True, gain=gain)
+    encoder = to_and_fro()[0]  # a rotor that moves
+    assert not faults(encoder, current + NOISE, setpoint=wanted, commanded=True, gain=gain)
+
+
+def test_a_rotor_that_is_held_while_the_loop_answers_is_no_fault():
+    wanted, gain = 0.2 * np.sin(TIME), 0.03
+    held = np.full(len(TIME), 12.0)
+    assert not faults(held, gain * wanted / KT, setpoint=wanted, commanded=True, gain=gain)
+    assert faults(held, NOISE, setpoint=wanted, commanded=True, gain=gain)
 
 
 @BOTH

@@ -67,6 +67,21 @@ def test_a_spring_at_one_end_and_pulses_that_push_the_rotor_are_no_inertia():
     assert not len(found.inertia)
 
 
+@pytest.mark.parametrize("hangs", [False, True])
+def test_a_slow_swing_under_a_force_is_no_inertia_where_quick_motion_shows_none(hangs):
+    """A force of 1.2 Hz swings the rotor within its loop for 8 s; before, a hand moves it."""
+    swings = TIME > 12
+    angle = np.where(swings, 1.5 * np.sin(7.5 * TIME), 0.4 * np.sin(20 * TIME))
+    acceleration = np.where(swings, 7.5**2, 20**2) * -angle
+    torque = drawn(np.random.default_rng(5)) + 280e-6 * acceleration * (swings | hangs)
+    own = turns(torque, angle=np.floor(angle / COUNT) * COUNT)
+    assert (acceleration[swings].max() > 80) & (len(own.inertia) > 8)
+    found = unknown_inertia([own])
+    assert (found is not None) == hangs
+    if hangs:
+        assert found.inertia == pytest.approx(280e-6, rel=0.2)
+
+
 @pytest.mark.parametrize("part", ["few", "unknown", "coarse", "short"])
 def test_where_turns_are_not_seen_nothing_is_said(part):
     angle, acceleration, _ = strokes()
