@@ -63,12 +63,20 @@ class PlantModel:
         if self.motor_side is None:
             return 1 / (s * (self.inertia * s + self.viscous))
         first = self.inertia * self.motor_side
-        second = self.inertia - first
+        free = first * s**2 + self.viscous * s
+        return np.asarray(1 / (free + self.carried(s)), dtype=np.complex128)
+
+    def carried(self, s: ComplexArray) -> ComplexArray:
+        """Return the torque on the second mass for each angle of the first, at `s` (n,), rad/s.
+
+        Raises `ValueError` for a rigid plant.
+        """
+        if self.motor_side is None:
+            raise ValueError("a rigid plant carries no second mass")
+        second = self.inertia * (1 - self.motor_side)
         omega = 2 * math.pi * self.antiresonance_hz
         link = second * (2 * self.damping * omega * s + omega**2)
-        # Motor and second mass, with the torque of the link between them eliminated
-        carried = second * s**2 * link / (second * s**2 + link)
-        return np.asarray(1 / (first * s**2 + self.viscous * s + carried), dtype=np.complex128)
+        return np.asarray(second * s**2 * link / (second * s**2 + link), dtype=np.complex128)
 
     def response(self, frequency: Array, sample_time: float) -> ComplexArray:
         """Return the response (n,) of `held` at frequencies above zero, Hz, without its algebra.

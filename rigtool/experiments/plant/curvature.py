@@ -12,6 +12,10 @@ s is the answer of the shaft to the excitation, almost free of noise; e is in th
 the torque that the fitted plant needs for the measured angle. Phases are random, so that neither
 what the fit leaves at an excited line nor noise correlates with s^2: both are scatter between
 experiments.
+
+Friction that grows with the torque T that a second mass asks for does not grow in proportion where
+T swings about the friction of the tip: it has a part b T(t)^2 at the same lines, as both squares
+rise where the excitation is large. Where a second mass was fitted, a and b are found together.
 """
 
 from __future__ import annotations
@@ -57,26 +61,40 @@ def slope_rise(experiments: Sequence[Experiment], lines: LineNumbers, fit: Plant
     samples = experiments[0].reference.shape[-1]
     line = np.arange(1, int(lines[-1]) + 1)
     plant = fit.response(line / (samples * fit.sample_time))
-    torques, bends, sizes = [], [], []
+    torques, squares, sizes = [], [], []
     for experiment in experiments:
         asked, answer = (
             np.fft.rfft(signal)[:, line].mean(axis=0)
             for signal in (experiment.input, experiment.output)
         )
         torques.append(asked - answer / plant)
-        swing = excited_speed(experiment, lines, fit.sample_time)
+        swings = _excited(experiment, lines, fit)
         direction = np.sign(experiment.angle[0, -1] - experiment.angle[0, 0])
-        bends.append(direction * np.fft.rfft(swing**2)[line])
-        sizes.append(float(swing.std()))
-    torque, bend = np.stack(torques), np.stack(bends)
+        squares.append(direction * np.fft.rfft(swings**2)[:, line])
+        sizes.append(float(swings[0].std()))
+    torque, bends = np.stack(torques), np.stack(squares)
     window = np.ones(min(NEIGHBOURS, len(line)))
     power = np.convolve(np.mean(np.abs(torque) ** 2, axis=0), window, "same")
     weight = np.convolve(np.ones(len(line)), window, "same") / np.maximum(power, TINY)
-    a = np.sum(weight * (torque * bend.conj()).real, axis=1)
-    a /= np.sum(weight * np.abs(bend) ** 2, axis=1)
+    right = np.einsum("eck,ek,k->ec", bends.conj(), torque, weight).real
+    normal = np.einsum("eck,edk,k->ecd", bends.conj(), bends, weight).real
+    a = np.linalg.solve(normal, right[..., None])[:, 0, 0]
     rises, count = 2 * a * np.array(sizes), len(experiments)
     u = float(rises.std(ddof=1)) / count**0.5
     return SlopeRise(float(rises.mean()), u, count)
+
+
+def _excited(experiment: Experiment, lines: LineNumbers, fit: PlantFit) -> Array:
+    """Return what the excitation swings, squares of which are friction's: the speed, rad/s, and
+    behind a spring the torque on the second mass over its peak (1 or 2, n)."""
+    speed = excited_speed(experiment, lines, fit.sample_time)
+    if fit.model.rigid:
+        return speed[None]
+    samples = len(speed)
+    s = np.asarray(2j * np.pi * lines / (samples * fit.sample_time), dtype=np.complex128)
+    carried = np.fft.rfft(speed)[lines] / (samples / 2) / s * fit.model.carried(s)
+    torque = periodic(lines, carried, samples)
+    return np.stack([speed, torque / np.abs(torque).max()])
 
 
 def excited_speed(experiment: Experiment, lines: LineNumbers, sample_time: float) -> Array:

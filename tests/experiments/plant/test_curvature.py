@@ -1,5 +1,7 @@
 """Friction that bends over the swing shows at sums and differences of the excited lines."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -14,6 +16,9 @@ LINES = np.array([2, 3, 4, 5, 7, 9, 12, 16, 21, 28, 37, 49])
 FIT = PlantFit(
     PlantModel(2e-5, 1e-4), 1e-4, 1e-8, 0.0, SAMPLE_TIME, np.ones(12, dtype=bool), 1.0, 1.0
 )
+
+TWO_MASSES = replace(FIT, model=PlantModel(2e-5, 1e-4, 0.85, 40.0, 0.4))
+MANY = np.maximum(np.fft.rfftfreq(SAMPLES, SAMPLE_TIME), 1e-3)
 
 
 def experiment(direction, seed, friction, *, turned=False, noise=2e-6):
@@ -82,6 +87,32 @@ def test_friction_that_does_not_bend_shows_no_rise():
 def test_the_stribeck_effect_at_the_slow_end_is_seen():
     found = slope_rise(experiments(lambda v: 1e-3 * np.exp(-((v / 1.5) ** 2))), LINES, FIT)
     assert found.shown > 5 * found.u
+
+
+def with_a_second_mass(seed, growth):
+    """Return a shaft with a second mass; friction grows by `growth` of the torque's size that the
+    second mass asks for, about the friction of its tip."""
+    made, speed = experiment(1 - 2 * (seed % 2), seed, lambda v: 2e-3 + 3e-5 * v)
+    s = 2j * np.pi * np.fft.rfftfreq(SAMPLES, SAMPLE_TIME)[LINES]
+    carried = np.zeros(SAMPLES // 2 + 1, dtype=complex)
+    carried[LINES] = np.fft.rfft(speed)[LINES] / s * TWO_MASSES.model.carried(s)
+    torque = np.fft.irfft(carried, SAMPLES)
+    direction = np.sign(made.angle[0, -1] - made.angle[0, 0])
+    tip = direction * torque.std() / 2
+    more = direction * growth * np.hypot(torque + tip, tip)
+    needed = np.fft.rfft(made.output) * (1 / TWO_MASSES.response(MANY) - 1 / FIT.response(MANY))
+    asked = made.input + np.fft.irfft(needed, SAMPLES) + more
+    return replace(made, input=asked)
+
+
+def test_friction_that_grows_with_the_torque_on_a_second_mass_is_no_bend():
+    rises = [
+        slope_rise([with_a_second_mass(10 * trial + n, 0.15) for n in range(6)], LINES, TWO_MASSES)
+        for trial in range(20)
+    ]
+    # one-sided 5 % of 20: at most four by the binomial law, p = 0.003
+    assert sum(rise.shown > 0 for rise in rises) <= 4
+    assert abs(np.mean([rise.value / rise.u for rise in rises])) < 1.0
 
 
 @pytest.mark.parametrize("pull", [1.0, 1.8, 2.0, 3.0, -3.0])
