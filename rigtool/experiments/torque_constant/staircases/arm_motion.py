@@ -43,17 +43,19 @@ RANGE = math.log(5.0)
 @dataclass(frozen=True)
 class Contacts:
     """Friction `level` f in N m and its `state` z (g, p) on each plateau; `transition` s in N m and
-    `exponent` i of its law; `asymmetry` A, by which it is larger where torque rises."""
+    `exponent` i of its law; `asymmetry` A, by which it is larger where torque rises. Of h
+    hypotheses at once, the state is (h, g, p), level, transition and exponent (h, 1)."""
 
-    level: float
+    level: float | Array
     state: Array
-    transition: float
-    exponent: float
+    transition: float | Array
+    exponent: float | Array
     asymmetry: float = 0.0
 
     def torque(self) -> Array:
-        """Return friction on each plateau (g, p), N m."""
-        return self.level * self.state * (1 + self.asymmetry * self.state)
+        """Return friction on each plateau (..., g, p), N m."""
+        level = np.asarray(self.level)[..., None]
+        return level * self.state * (1 + self.asymmetry * self.state)
 
 
 @dataclass(frozen=True)
@@ -85,38 +87,47 @@ class Arm:
 
     def swings(self, courses: Courses, contacts: Contacts) -> Array:
         """Return the swings (g, p, c) of (1) about where the arm comes to rest, N m."""
-        swings, _, _ = self._motion(courses, contacts)
+        swings: Array = np.empty(courses.course.shape)
+        self._motion(courses, contacts, swings)
         settled = swings[:, :, courses.course.shape[2] // 2 :]
         swings -= settled.mean(axis=2, keepdims=True)
         return swings
 
     def friction_state(self, courses: Courses, contacts: Contacts) -> tuple[Array, Array]:
-        """Return a and b (g, p) of friction z (1 + A z) = a + b h after each plateau, where h is
-        that before the first."""
-        _, state, kept = self._motion(courses, contacts)
-        first, asymmetry = contacts.state[:, :1], contacts.asymmetry
+        """Return a and b (..., g, p) of friction z (1 + A z) = a + b h after each plateau, where h
+        is that before the first."""
+        torque = np.empty((0, *courses.course.shape[1:]))
+        state, kept = self._motion(courses, contacts, torque)
+        first, asymmetry = contacts.state[..., :1], contacts.asymmetry
         friction, kept = one_sided(state, kept, asymmetry)
         before, change = one_sided(first, np.ones(first.shape), asymmetry)
         return friction - kept / change * before, kept / change
 
-    def _motion(self, courses: Courses, contacts: Contacts) -> tuple[Array, Array, Array]:
-        """Return torques (g, p, c) N m, states of friction (g, p) and dz/dz0 (g, p)."""
-        torque: Array = np.empty(courses.course.shape)
-        state, kept = np.empty((2, *courses.torque.shape))
+    def _motion(self, courses: Courses, contacts: Contacts, torque: Array) -> tuple[Array, Array]:
+        """Return states of friction (..., g, p) and dz/dz0 (..., g, p); write the torques (g, p, c)
+        N m where there is room for them."""
         drive = courses.torque + contacts.torque()
-        for number in range(len(torque)):
-            _move(
-                drive[number],
-                courses.part[number] / self.steps,
-                self.steps,
-                (self.frequency, self.lag),
-                (contacts.level, contacts.asymmetry, contacts.transition, contacts.exponent),
-                (courses.torque[number, 0], contacts.state[number, 0]),
-                torque[number],
-                state[number],
-                kept[number],
-            )
-        return torque, state, kept
+        laws = np.empty((3, *drive.shape[:-1]))
+        laws[0], laws[1], laws[2] = contacts.level, contacts.transition, contacts.exponent
+        step, still = np.empty((2, *drive.shape))
+        step[:], still[:] = courses.part / self.steps, courses.torque
+        moves = np.zeros((5, laws[0].size))
+        moves[0], moves[1] = still[..., 0].ravel(), contacts.state[..., 0].ravel()
+        moves[3] = 1.0
+        state, kept = np.empty((2, *drive.shape))
+        flat = -1, drive.shape[-1]
+        _move(
+            drive.reshape(flat),
+            step.reshape(flat),
+            self.steps,
+            (self.frequency, self.lag, contacts.asymmetry),
+            laws.reshape(3, -1),
+            moves,
+            torque,
+            state.reshape(flat),
+            kept.reshape(flat),
+        )
+        return state, kept
 
 
 def one_sided(state: Array, kept: Array, asymmetry: float) -> tuple[Array, Array]:
@@ -167,44 +178,50 @@ def _move(
     drive: Array,
     step: Array,
     steps: int,
-    arm: tuple[float, float],
-    contacts: tuple[float, float, float, float],
-    start: tuple[float, float],
+    arm: tuple[float, float, float],
+    contacts: Array,
+    moves: Array,
     torque: Array,
     state: Array,
     kept: Array,
 ) -> None:
-    """Move the arm under motor torques (p,) N m by (1) and write the gauge's `torque` (p, c) N m,
-    the `state` z (p,) of friction after each plateau and its derivative `kept` (p,) at z0.
+    """Move k arms side by side under motor torques (k, p) N m by (1) and write the gauge's `torque`
+    (k, p, c) N m, or none (0, p, c), the `state` z (k, p) of friction after each plateau and its
+    derivative `kept` (k, p) at z0.
 
-    `step` (p,) s is that of the integration, `steps` to a value of the course; the damping acts
-    with the mean of the speeds before and after (leapfrog: Hairer, Lubich and Wanner, Geometric
-    Numerical Integration, 2006, section I.1).
+    `step` (k, p) s is that of the integration, `steps` to a value of the course; `arm` is w, l and
+    A, `contacts` (3, k) f, s and i of each, `moves` (5, k) its x, z, speed, dz/dz0 and 0. The
+    damping acts with the mean of the speeds before and after (leapfrog: Hairer, Lubich and Wanner,
+    Geometric Numerical Integration, 2006, section I.1). A step of one arm waits for the one before,
+    but not for those of others.
     """
-    frequency, lag = arm
-    level, asymmetry, transition, exponent = contacts
-    x, z = start
-    speed, slope = 0.0, 1.0
-    for j in range(len(drive)):
-        push = frequency * frequency * step[j]
-        drag = push * lag / 2.0
-        for part in range(torque.shape[1]):
-            total = 0.0
+    frequency, lag, asymmetry = arm
+    level, transition, exponent = contacts
+    x, z, speed, slope, total = moves
+    for j in range(drive.shape[1]):
+        for part in range(torque.shape[2]):
             for _ in range(steps):
-                before = speed
-                friction = level * z * (1.0 + asymmetry * z)
-                speed = ((1.0 - drag) * speed + push * (drive[j] - x - friction)) / (1.0 + drag)
-                way = speed * step[j]
-                total += x + lag * (before + speed) / 2.0
-                x += way
-                side = math.copysign(1.0, way)
-                left = 1.0 - side * z
-                if left > 0.0:
-                    if exponent == 1.0:
-                        after = left / (1.0 + abs(way) / transition)
-                    else:
-                        after = max(left - abs(way) / transition * left**exponent, 0.0)
-                    slope *= max(1.0 - exponent * (1.0 - after / left), 0.0)
-                    z = side * (1.0 - after)
-            torque[j, part] = total / steps
-        state[j], kept[j] = z, slope
+                for k in range(len(x)):
+                    push = frequency * frequency * step[k, j]
+                    drag = push * lag / 2.0
+                    before = speed[k]
+                    friction = level[k] * z[k] * (1.0 + asymmetry * z[k])
+                    pull = drive[k, j] - x[k] - friction
+                    speed[k] = ((1.0 - drag) * before + push * pull) / (1.0 + drag)
+                    way = speed[k] * step[k, j]
+                    total[k] += x[k] + lag * (before + speed[k]) / 2.0
+                    x[k] += way
+                    side = math.copysign(1.0, way)
+                    left = 1.0 - side * z[k]
+                    if left > 0.0:
+                        way = abs(way) / transition[k]
+                        if exponent[k] == 1.0:
+                            ratio = 1.0 / (1.0 + way)
+                        else:
+                            ratio = max(1.0 - way * left ** (exponent[k] - 1.0), 0.0)
+                        slope[k] *= max(1.0 - exponent[k] * (1.0 - ratio), 0.0)
+                        z[k] = side * (1.0 - left * ratio)
+            for k in range(len(torque)):
+                torque[k, j, part], total[k] = total[k] / steps, 0.0
+        for k in range(len(x)):
+            state[k, j], kept[k, j] = z[k], slope[k]

@@ -107,17 +107,14 @@ class MeanStaircases:
         shape, (a, b) = a.shape, (-each * self._weight for each in (a, b))
         if self.arm is None:
             return a, b
-        levels = self._levels(
+        level, state = self._levels(
             self._time_constant, *(each.reshape(-1, *self._weight.shape) for each in (a, b))
         )
-        own = []
-        for level, state, (exponent, s) in zip(
-            *levels, product(exponents.tolist(), transition.tolist()), strict=True
-        ):
-            contacts = Contacts(float(level), state, s, exponent, self.asymmetry)
-            own.append(self.arm.friction_state(self.stairs.courses, contacts))
-        a, b = -np.stack(own, axis=1) * self._weight
-        return a.reshape(shape), b.reshape(shape)
+        laws = np.array(list(product(exponents, transition)))[:, :, None]
+        contacts = Contacts(level[:, None], state, laws[:, 1], laws[:, 0], self.asymmetry)
+        own = self.arm.friction_state(self.stairs.courses, contacts)
+        a, b = (-(each * self._weight).reshape(shape) for each in own)
+        return a, b
 
     def _friction_under(self, common: Common) -> tuple[Array, Array]:
         """Return columns of f and f z0 (g, p) under a hypothesis that has friction."""

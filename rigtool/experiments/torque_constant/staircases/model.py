@@ -20,6 +20,7 @@ parameters.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,7 @@ from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.staircases.plateaus import Plateaus
 from rigtool.experiments.torque_constant.staircases.swings import Courses, mean_courses
 from rigtool.numerics.arrays import Array
+from rigtool.numerics.compiled import compiled
 
 COPPER_COEFFICIENT = 3.93e-3
 """Temperature coefficient of a copper winding's resistance at 20 degC, 1/K (IEC 60028)."""
@@ -148,33 +150,41 @@ def winding(stairs: Stairs, time_constant: float) -> tuple[Array, Array]:
     and the winding approaches the housing. Each begins with both at one temperature, which changes
     until the first middle as fast as in the first half of the staircase.
     """
-    decay = np.exp(-(stairs.end - stairs.begin) / time_constant)
-    idle = np.ones(decay.shape)
-    idle[:, 1:] = np.exp(-(stairs.begin[:, 1:] - stairs.end[:, :-1]) / time_constant)
-    into = np.exp(-(stairs.middle - stairs.begin) / time_constant)
-    since = np.diff(stairs.middle, prepend=stairs.begin[:, :1])
+    since = stairs.middle[:, 0] - stairs.begin[:, 0]
     change = np.diff(stairs.temperature, prepend=stairs.temperature[:, :1])
-    half = (since.shape[1] - 1) // 2
+    half = (change.shape[1] - 1) // 2
     lasted = stairs.middle[:, half] - stairs.middle[:, 0]
-    change[:, 0] = np.sum(change[:, 1 : half + 1], axis=1) / lasted * since[:, 0]
+    change[:, 0] = np.sum(change[:, 1 : half + 1], axis=1) / lasted * since
     power = stairs.current**2 * (1 + COPPER_COEFFICIENT * (stairs.temperature - 20))
-    before, lag = np.empty(decay.shape), np.empty(decay.shape)
-    stored, behind = np.zeros(len(decay)), np.zeros(len(decay))
-    for j in range(decay.shape[1]):
-        before[:, j] = stored * idle[:, j]
-        gained = power[:, j] * time_constant * (1 - decay[:, j])
-        stored = before[:, j] * decay[:, j] + gained
-        kept = np.exp(-since[:, j] / time_constant / 2)
-        behind = behind * kept**2 - change[:, j] * kept
-        lag[:, j] = behind
-    # Heat left over from the staircase before
-    ended = stairs.end[:-1, -1]
-    fades = np.exp(-(ended - stairs.begin[:-1, 0]) / time_constant)
-    pauses = np.exp(-(stairs.begin[1:, 0] - ended) / time_constant)
-    left = [0.0]
-    for held, fade, pause in zip(stored[:-1], fades, pauses, strict=True):
-        left.append(float((held + left[-1] * fade) * pause))
-    middle = stairs.middle - stairs.begin[:, :1]
-    heat = before * into + power * time_constant * (1 - into)
-    heat += np.array(left)[:, None] * np.exp(-middle / time_constant)
+    heat, lag = np.empty((2, *power.shape))
+    times = stairs.begin, stairs.middle, stairs.end
+    _warm(*times, power, change, float(time_constant), heat, lag)
     return heat, stairs.temperature + lag
+
+
+@compiled
+def _warm(
+    begin: Array,
+    middle: Array,
+    end: Array,
+    power: Array,
+    change: Array,
+    time_constant: float,
+    heat: Array,
+    lag: Array,
+) -> None:
+    """Write the `heat` of `winding` and by how much its temperature lags, K, under a power in A2
+    and after a change of the housing's temperature from middle to middle, K; all (m, p)."""
+    stored, ended = 0.0, begin[0, 0]
+    for m in range(len(power)):
+        behind, before = 0.0, begin[m, 0]
+        for j in range(power.shape[1]):
+            stored *= math.exp((ended - begin[m, j]) / time_constant)
+            gained, ended = power[m, j] * time_constant, end[m, j]
+            kept = math.exp((begin[m, j] - middle[m, j]) / time_constant)
+            heat[m, j] = stored * kept + gained * (1.0 - kept)
+            kept = math.exp((begin[m, j] - ended) / time_constant)
+            stored = stored * kept + gained * (1.0 - kept)
+            kept = math.exp((before - middle[m, j]) / time_constant / 2.0)
+            behind = behind * kept**2 - change[m, j] * kept
+            lag[m, j], before = behind, middle[m, j]

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rigtool.numerics.arrays import TINY, Array
+from rigtool.numerics.compiled import compiled
 
 MAX_TURNS = 12
 """Largest number of turns of the arm that count after one step."""
@@ -270,30 +271,38 @@ def _turns(
     """Return the path, and in which part of the course (TURNS, l, n, p) each turn showed."""
     own = len(torque) != len(courses.torque)
     kind = courses.kind if own else np.arange(len(torque))
-    follow = -np.expm1(-courses.part[kind, 1:] / np.reshape(lags, (-1, 1, 1)))
+    follow = -np.expm1(-courses.part[kind] / np.reshape(lags, (-1, 1, 1)))
     threshold = NOISE_RANGE * courses.noise[kind, None] * np.sqrt(follow / (2 - follow))
-    before, after = (np.broadcast_to(t, follow.shape) for t in (torque[:, :-1], torque[:, 1:]))
-    swings = np.zeros((MAX_TURNS + 2, len(follow), *torque.shape))
-    numbers, rows, columns = np.ogrid[tuple(map(slice, before.shape))]
-    elastic, extreme, turned = before.copy(), before.copy(), before.copy()
-    direction = np.sign(after - before)
-    count = np.zeros(before.shape, dtype=np.int64)
-    when = np.zeros((MAX_TURNS, *swings.shape[1:]))
-    for moment, value in enumerate(np.moveaxis(course[:, 1:], 2, 0)):
-        elastic = elastic + follow * (value - elastic)
-        extreme = np.where((elastic - extreme) * direction > 0, elastic, extreme)
-        turns = ((extreme - elastic) * direction > threshold) & (count < MAX_TURNS)
-        number, row, column = np.nonzero(turns)
-        here = (count[turns], number, row, column + 1)
-        swings[here] = (extreme - turned)[turns]
-        when[here] = moment
-        turned = np.where(turns, extreme, turned)
-        extreme = np.where(turns, elastic, extreme)
-        direction = np.where(turns, -direction, direction)
-        count += turns
-    swings[count, numbers, rows, columns + 1] = extreme - turned
-    swings[count + 1, numbers, rows, columns + 1] = after - extreme
+    swings = np.zeros((MAX_TURNS + 2, *follow.shape))
+    when = np.zeros((MAX_TURNS, *follow.shape))
+    _turn(torque, course, follow, threshold, swings, when)
     return swings, when
+
+
+@compiled
+def _turn(
+    torque: Array, course: Array, follow: Array, threshold: Array, swings: Array, when: Array
+) -> None:
+    """Write what `_turns` returns, where the elastic torque follows by a part `follow` (l, n, p) of
+    the way in each value of a course, and turns count beyond a `threshold` (l, n, p), N m."""
+    lags, kinds, plateaus = follow.shape
+    for lag in range(lags):
+        for n in range(kinds):
+            for j in range(1, plateaus):
+                elastic = extreme = turned = torque[n, j - 1]
+                direction, count = np.sign(torque[n, j] - elastic), 0
+                for moment in range(course.shape[2]):
+                    elastic += follow[lag, n, j] * (course[n, j, moment] - elastic)
+                    if (elastic - extreme) * direction > 0.0:
+                        extreme = elastic
+                    back = (extreme - elastic) * direction
+                    if back > threshold[lag, n, j] and count < MAX_TURNS:
+                        swings[count, lag, n, j] = extreme - turned
+                        when[count, lag, n, j] = moment
+                        turned, extreme, direction = extreme, elastic, -direction
+                        count += 1
+                swings[count, lag, n, j] = extreme - turned
+                swings[count + 1, lag, n, j] = torque[n, j] - extreme
 
 
 def straight_path(courses: Courses) -> Array:
@@ -317,22 +326,39 @@ def friction_state(
 
     until contacts with i < 1 slide, r = 0.
     """
-    exponent = np.asarray(exponent)
-    less = 1.0 - exponent
-    single = less == 0
-    divisor = np.where(single, 1.0, less)
-    shape = np.broadcast_shapes(swings.shape[1:-1], np.shape(transition), less.shape)
-    state, changes = np.zeros(shape), np.zeros(shape)
-    a, b = [state], [np.ones(shape)]
-    for plateau in np.moveaxis(swings, -1, 0)[1:]:
-        for swing in plateau[plateau.reshape(len(plateau), -1).any(axis=1)]:
-            side = np.copysign(1.0, swing)
-            before = np.maximum(1.0 - side * state, LEAST_REST)
-            way = np.abs(swing) / transition * before**-less
-            left = np.log1p(np.maximum(-less * way, FULL_SLIDE)) / divisor
-            change = np.where(single, -way, left)
-            state = side * (1.0 - before * np.exp(change))
-            changes = changes + change
-        a.append(state)
-        b.append(np.exp(exponent * changes))
-    return np.stack(a, axis=-1), np.stack(b, axis=-1)
+    shape = np.broadcast_shapes(swings.shape[1:-1], np.shape(transition), np.shape(exponent))
+    along = np.moveaxis(swings, 0, -1)
+    ways = np.array(np.broadcast_to(along, (*shape, *along.shape[-2:])), order="C")
+    laws = np.empty((2, *shape))
+    laws[0], laws[1] = transition, exponent
+    state, kept = np.empty((2, *ways.shape[:-1]))
+    flat = (laws[0].size, *along.shape[-2:])
+    _follow(
+        ways.reshape(flat),
+        *laws.reshape(2, -1),
+        *(each.reshape(flat[:2]) for each in (state, kept)),
+    )
+    return state, kept
+
+
+@compiled
+def _follow(swings: Array, transition: Array, exponent: Array, state: Array, kept: Array) -> None:
+    """Write a as `state` and b as `kept` (k, p), for swings (k, p, n), transition and exponent (k,)
+    as in `friction_state`."""
+    for k in range(len(transition)):
+        less = 1.0 - exponent[k]
+        z = changes = 0.0
+        state[k, 0], kept[k, 0] = z, 1.0
+        for j in range(1, swings.shape[1]):
+            for n in range(swings.shape[2]):
+                swing = swings[k, j, n]
+                if swing == 0.0:
+                    continue
+                side = math.copysign(1.0, swing)
+                before = max(1.0 - side * z, LEAST_REST)
+                change = -abs(swing) / transition[k] * before**-less
+                if less != 0.0:
+                    change = math.log1p(max(less * change, FULL_SLIDE)) / less
+                z = side * (1.0 - before * math.exp(change))
+                changes += change
+            state[k, j], kept[k, j] = z, math.exp(exponent[k] * changes)

@@ -112,3 +112,15 @@ def test_moved_courses_have_what_all_steps_share_and_hardly_any_noise():
     assert np.sqrt(np.mean((moved.course - true) ** 2)) < noise / 2
     assert_allclose(moved.course + moved.dropped, courses.course + shared, atol=1e-15)
     assert moved.noise[0] == pytest.approx(noise / len(LEVELS) ** 0.5, rel=0.2)
+
+
+def test_an_arm_under_several_hypotheses_moves_as_under_each_alone():
+    laws = [(6e-3, 0.02, 1.0), (3e-3, 0.05, 0.6), (0.0, 0.02, 1.7)]
+    each = [Contacts(f, CONTACTS.state * f / 6e-3, s, i, 0.1) for f, s, i in laws]
+    level, transition, exponent = np.array(laws).T[:, :, None]
+    state = np.stack([one.state for one in each])
+    a, b = ARM.friction_state(staircase(), Contacts(level, state, transition, exponent, 0.1))
+    alone = [ARM.friction_state(staircase(), one) for one in each]
+    assert_allclose(a, [one[0] for one in alone], rtol=1e-12, atol=1e-15)
+    assert_allclose(b, [one[1] for one in alone], rtol=1e-12)
+    assert np.abs(np.diff(a, axis=0)).max(axis=(1, 2)).min() > 0.05
