@@ -50,7 +50,7 @@ LOWEST_EXPONENT, HIGHEST_EXPONENT = 0.5, 2.0
 """Range of the exponent of the law of friction: below 1 for brittle contacts, which slide after a
 finite way, above 1 for ductile ones (Dahl 1968; AIAA J. 14(12) 1675-1682, 1976)."""
 
-COARSE, FINE = (32, 4, 3, 5), (9, 3, 5, 4)
+COARSE, FINE = (32, 6, 5, 5), (9, 4, 5, 4)
 """Values of s, tau, exponent and lag over all of their range, and in each finer grid."""
 
 TAU, TIME_CONSTANTS = 1, 11
