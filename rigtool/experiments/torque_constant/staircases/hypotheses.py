@@ -7,8 +7,9 @@ scatter is unknown, its probability for n independent residuals is
 
     p = Q^(-n/2) / sum over all hypotheses,
 
-even in the logarithms of s, lag and tau (A. Gelman et al., Bayesian Data Analysis, 3rd ed., 2013,
-section 3.2). Friction opposes motion: hypotheses that want the opposite have none. No magnet gains
+even in the logarithms of s, lag and tau, and normal in friction's asymmetry (A. Gelman et al.,
+Bayesian Data Analysis, 3rd ed., 2013, section 3.2). Friction opposes motion: hypotheses that want
+the opposite have none. No magnet gains
 by heat, so that of a loss by heat only the positive part is possible: if each hypothesis had one,
 noise alone would raise the constant. Each is therefore tried without such a loss, too, as probable
 beforehand as all sizes of the loss together, of which half a normal distribution has the width that
@@ -51,7 +52,8 @@ LOWEST_EXPONENT, HIGHEST_EXPONENT = 0.5, 2.0
 finite way, above 1 for ductile ones (Dahl 1968; AIAA J. 14(12) 1675-1682, 1976)."""
 
 COARSE, FINE = (32, 6, 5, 5), (9, 4, 5, 4)
-"""Values of s, tau, exponent and lag over all of their range, and in each finer grid."""
+"""Values of s over the exponent, tau, exponent and lag over all of their range, and in each finer
+grid. Staircases show f/s and e/s of friction f with the exponent e, and little of e itself."""
 
 TAU, TIME_CONSTANTS = 1, 11
 """Place of tau among these, and its values over all of its range in the last grid: hypotheses whose
@@ -164,8 +166,8 @@ def _find_arm(
 def weighed(
     means: MeanStaircases, ways: list[tuple[float, float] | None], doubt: float = 0.0
 ) -> Weighed:
-    """Return all hypotheses, along paths of these lags; `doubt` is the standard uncertainty of
-    friction's asymmetry."""
+    """Return all hypotheses, along paths of these lags, with several asymmetries of friction where
+    `doubt`, its standard uncertainty, is not 0."""
     centre, parts = means.asymmetry, []
     for place, share in NODES if doubt else NODES[:1]:
         means.asymmetry = centre + place * doubt
@@ -185,8 +187,9 @@ def weighed(
 
 @dataclass(frozen=True)
 class _Tried:
-    """Hypotheses, at places (n, 4) of a grid in the logarithms of s, tau, the exponent and the lag
-    (NaN where there is none), each without a loss by heat and with one, and what they leave.
+    """Hypotheses, at places (n, 4) of a grid in the logarithms of s over the exponent, tau, the
+    exponent and the lag (NaN where there is none), each without a loss by heat and with one, and
+    what they leave.
 
     `volume` (n,) is the part of the grid that each represents, `warms` (n,) the likelihood of its
     tau by the thermometer, `free` (n, 2) whether it has no friction, `square` (n, 2) is Q, `slope`
@@ -259,7 +262,8 @@ def _search(means: MeanStaircases, lag: tuple[float, float] | None, finer: int) 
 
 
 def _ranges(means: MeanStaircases, lag: tuple[float, float] | None) -> tuple[Array, Array]:
-    """Return bounds of the logarithms of s, tau, the exponent and the lag, if there is one."""
+    """Return bounds of the logarithms of s over the exponent, tau, the exponent and the lag, if
+    there is one."""
     courses = means.stairs.courses
     span = float(np.ptp(courses.torque[0]))
     step = span * float(np.median(np.abs(np.diff(courses.setpoint[0]))))

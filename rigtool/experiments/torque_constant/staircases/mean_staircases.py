@@ -280,26 +280,15 @@ class MeanStaircases:
     def find_asymmetry(self, common: Common) -> float:
         """Find friction's asymmetry, linear about that so far, and return its standard uncertainty.
 
-        The transition, its exponent and tau of the hypothesis give way by what is linear in them.
-        Beforehand the asymmetry is normal about 0 with `ASYMMETRY`; where friction is small, it
-        stays there.
+        The hypothesis gives way by what is linear in its s, exponent and tau. Beforehand the
+        asymmetry is normal about 0 with `ASYMMETRY`; where friction is small, it stays there, and
+        0 is returned.
         """
         contacts = self.contacts(common)
-        if common.transition is None or contacts.level <= 0:
+        if contacts.level <= 0:
             return 0.0
-        columns = self.columns(common)
-        along = contacts.level, contacts.torque()[:, :1]
-        friction, lost = self._along(common, *along), self.thermal(common.time_constant)[1]
-        warmer = replace(common, time_constant=common.time_constant * (1 + CHANGE))
-        columns += [columns[0] * np.abs(columns[0]), self.thermal(warmer.time_constant)[1] - lost]
-        for changed in (
-            replace(common, transition=common.transition * (1 + CHANGE)),
-            replace(common, exponent=common.exponent * (1 + CHANGE)),
-        ):
-            columns.append(self._along(changed, *along) - friction)
-        asymmetry = self.asymmetry
-        self.asymmetry = asymmetry + CHANGE
-        column = left_by(columns, (self._along(common, *along) - friction) / CHANGE)
+        columns, squared = self._about(common, contacts)
+        column = left_by(columns, squared)
         rest = left_by(columns, self._torque[..., 0])
         power = max(float(np.sum(column**2)), TINY)
         change = float(np.sum(column * rest)) / power
@@ -307,15 +296,31 @@ class MeanStaircases:
         free = independent_samples(left, self._weight.ravel() > 0, 1) - PARAMETERS * self.kinds
         each = float(left @ left) / max(free, 1.0)
         known = 1 / (1 + each / power / ASYMMETRY**2)
-        found = (asymmetry + change) * known
+        found = (self.asymmetry + change) * known
         self.asymmetry = float(np.clip(found, -LARGEST_ASYMMETRY, LARGEST_ASYMMETRY))
         return ASYMMETRY * math.sqrt(1 - known)
 
-    def _along(self, common: Common, level: float, before: Array) -> Array:
-        """Return friction (g, p), N m, of a hypothesis whose largest is `level` and that before the
-        first plateau (g, 1), both in N m."""
-        a, b = self._friction_under(common)
-        return a * level + b * before
+    def _about(self, common: Common, contacts: Contacts) -> tuple[list[Array], Array]:
+        """Return columns (g, p) of (1) and of changes of s, exponent and tau, and the derivative of
+        friction by its asymmetry (g, p), N m."""
+
+        def friction(changed: Common) -> Array:
+            a, b = self._friction_under(changed)
+            return a * contacts.level + b * contacts.torque()[:, :1]
+
+        columns, now, more = self.columns(common), friction(common), 1 + CHANGE
+        columns.append(columns[0] * np.abs(columns[0]))
+        columns.append(self.thermal(common.time_constant * more)[1] - columns[3])
+        for changed in (
+            replace(common, transition=(common.transition or 0.0) * more),
+            replace(common, exponent=common.exponent * more),
+        ):
+            columns.append(friction(changed) - now)
+        asymmetry = self.asymmetry
+        self.asymmetry = asymmetry + CHANGE
+        derivative = (friction(common) - now) / CHANGE
+        self.asymmetry = asymmetry
+        return columns, derivative
 
     def columns(self, common: Common) -> list[Array]:
         """Return the columns of (1) on the mean staircases, current first, (g, p) each."""
