@@ -7,8 +7,9 @@ scatter is unknown, its probability for n independent residuals is
 
     p = Q^(-n/2) / sum over all hypotheses,
 
-even in the logarithms of s, lag and tau (A. Gelman et al., Bayesian Data Analysis, 3rd ed., 2013,
-section 3.2). Friction opposes motion: hypotheses that want the opposite have none. No magnet gains
+even in the logarithms of s, lag and tau, and normal in friction's asymmetry (A. Gelman et al.,
+Bayesian Data Analysis, 3rd ed., 2013, section 3.2). Friction opposes motion: hypotheses that want
+the opposite have none. No magnet gains
 by heat, so that of a loss by heat only the positive part is possible: if each hypothesis had one,
 noise alone would raise the constant. Each is therefore tried without such a loss, too, as probable
 beforehand as all sizes of the loss together, of which half a normal distribution has the width that
@@ -37,7 +38,7 @@ from itertools import product
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.torque_constant.staircases.mean_staircases import MeanStaircases
+from rigtool.experiments.torque_constant.staircases.mean_staircases import ASYMMETRY, MeanStaircases
 from rigtool.experiments.torque_constant.staircases.model import Common, Stairs
 from rigtool.experiments.torque_constant.staircases.swings import longest_lag
 from rigtool.experiments.torque_constant.staircases.winding_time import FEWEST_RESIDUALS
@@ -50,8 +51,9 @@ LOWEST_EXPONENT, HIGHEST_EXPONENT = 0.5, 2.0
 """Range of the exponent of the law of friction: below 1 for brittle contacts, which slide after a
 finite way, above 1 for ductile ones (Dahl 1968; AIAA J. 14(12) 1675-1682, 1976)."""
 
-COARSE, FINE = (16, 6, 3, 5), (7, 4, 5, 4)
-"""Values of s, tau, exponent and lag over all of their range, and in each finer grid."""
+COARSE, FINE = (32, 6, 5, 5), (9, 4, 5, 4)
+"""Values of s over the exponent, tau, exponent and lag over all of their range, and in each finer
+grid. Staircases show f/s and e/s of friction f with the exponent e, and little of e itself."""
 
 TAU, TIME_CONSTANTS = 1, 11
 """Place of tau among these, and its values over all of its range in the last grid: hypotheses whose
@@ -67,8 +69,13 @@ SHOWN = 0.5
 FINER_GRIDS = 3
 """Grids that each cover the best of the one before."""
 
-ASYMMETRIES = 3
+ASYMMETRIES = 2
 """Times that friction's asymmetry is found, each with the likeliest hypothesis so far."""
+
+NODES = ((0.0, 2 / 3), (-math.sqrt(3), 1 / 6), (math.sqrt(3), 1 / 6))
+"""Where its asymmetry is tried, in standard uncertainties from the one found, and their weights if
+it is normal about that (Gauss and Hermite; J. C. Naylor, A. F. M. Smith, Appl. Statist. 31(3), 214,
+1982)."""
 
 SHORTER_LAG = 12.0
 """Ratio of the longest lag of the arm's swings to the shortest."""
@@ -127,12 +134,16 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
             f"{int(stairs.weight.sum())} plateaus in {len(stairs.setpoint)} staircases leave no "
             "degree of freedom to the fit: use more steps"
         )
-    ways = _prepare(means, stairs)
+    every, doubt = ways_of(stairs), 0.0
+    best = _joined([_search(means, way, 0) for way in every]).best(FEWEST_RESIDUALS)
+    ways = _find_arm(means, stairs, best, every)
     for _ in range(ASYMMETRIES if means.arm is not None else 0):
-        likely = _joined([_search(means, way, FINER_GRIDS - 1) for way in ways])
-        means.find_asymmetry(likely.best(FEWEST_RESIDUALS))
-        ways = _prepare(means, stairs)
-    found = weighed(means, ways)
+        best = _joined([_search(means, way, FINER_GRIDS - 1) for way in ways]).best(
+            FEWEST_RESIDUALS
+        )
+        doubt = means.find_asymmetry(best)
+        ways = _find_arm(means, stairs, best, every)
+    found = weighed(means, ways, doubt)
     means.move_arm(found.best)
     probable = found.probable()
     mean = probable @ found.slope
@@ -140,21 +151,31 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
     return Hypotheses(means, found, float(mean[0]), *spread[[0, 1, 3]].tolist())
 
 
-def _prepare(means: MeanStaircases, stairs: Stairs) -> list[tuple[float, float] | None]:
-    """Take noise off the courses of `stairs` and find the arm in them, for friction's asymmetry so
-    far; return ranges of the lag."""
-    means.stairs, means.arm = stairs, None
+def _find_arm(
+    means: MeanStaircases, stairs: Stairs, best: Common, ways: list[tuple[float, float] | None]
+) -> list[tuple[float, float] | None]:
+    """Take noise off the courses of `stairs` and find the arm in them, with the friction of the
+    `best` hypothesis so far; return ranges of the lag, `ways` where they show no arm."""
     # The gauge's noise is also in the path, where it would count as evidence against friction.
-    ways = ways_of(stairs)
-    coarse = _joined([_search(means, way, 0) for way in ways])
-    means.smooth(coarse.best(FEWEST_RESIDUALS))
-    means.find_arm(coarse.best(FEWEST_RESIDUALS))
+    means.stairs = stairs
+    means.smooth(best)
+    means.find_arm(best)
     return ways if means.arm is None else [(means.arm.lag, means.arm.lag)]
 
 
-def weighed(means: MeanStaircases, ways: list[tuple[float, float] | None]) -> Weighed:
-    """Return all hypotheses, along paths of these lags."""
-    tried = _joined([_search(means, way, FINER_GRIDS) for way in ways])
+def weighed(
+    means: MeanStaircases, ways: list[tuple[float, float] | None], doubt: float = 0.0
+) -> Weighed:
+    """Return all hypotheses, along paths of these lags, with several asymmetries of friction where
+    `doubt`, its standard uncertainty, is not 0."""
+    centre, parts = means.asymmetry, []
+    for place, share in NODES if doubt else NODES[:1]:
+        means.asymmetry = centre + place * doubt
+        part = _joined([_search(means, way, FINER_GRIDS) for way in ways])
+        beforehand = -((means.asymmetry / ASYMMETRY) ** 2) / 2
+        part.volume[:] *= share * math.exp(beforehand + place**2 / 2)
+        parts.append(part)
+    means.asymmetry, tried = centre, _joined(parts)
     count = max(means.independent(tried.best(FEWEST_RESIDUALS)), FEWEST_RESIDUALS)
     # Half a normal distribution as wide as one residual leaves the loss by heat, of each kind.
     shows = (2 / math.sqrt(1 + count / means.kinds)) ** means.kinds
@@ -166,8 +187,9 @@ def weighed(means: MeanStaircases, ways: list[tuple[float, float] | None]) -> We
 
 @dataclass(frozen=True)
 class _Tried:
-    """Hypotheses, at places (n, 4) of a grid in the logarithms of s, tau, the exponent and the lag
-    (NaN where there is none), each without a loss by heat and with one, and what they leave.
+    """Hypotheses, at places (n, 4) of a grid in the logarithms of s over the exponent, tau, the
+    exponent and the lag (NaN where there is none), each without a loss by heat and with one, and
+    what they leave.
 
     `volume` (n,) is the part of the grid that each represents, `warms` (n,) the likelihood of its
     tau by the thermometer, `free` (n, 2) whether it has no friction, `square` (n, 2) is Q, `slope`
@@ -187,9 +209,11 @@ class _Tried:
         square, warms = (np.log(np.maximum(each, TINY)) for each in (self.square, self.warms))
         unlikely = independent / 2 * square - warms[:, None]
         least = np.unravel_index(int(np.argmin(unlikely)), unlikely.shape)
-        s, tau, exponent, lag = np.exp(self.place[least[0]]).tolist()
+        length, tau, exponent, lag = np.exp(self.place[least[0]]).tolist()
         free = bool(self.free[least])
-        return Common(None if free else s, exponent, None if math.isnan(lag) else lag, tau)
+        return Common(
+            None if free else length * exponent, exponent, None if math.isnan(lag) else lag, tau
+        )
 
 
 def _joined(parts: list[_Tried]) -> _Tried:
@@ -238,7 +262,8 @@ def _search(means: MeanStaircases, lag: tuple[float, float] | None, finer: int) 
 
 
 def _ranges(means: MeanStaircases, lag: tuple[float, float] | None) -> tuple[Array, Array]:
-    """Return bounds of the logarithms of s, tau, the exponent and the lag, if there is one."""
+    """Return bounds of the logarithms of s over the exponent, tau, the exponent and the lag, if
+    there is one."""
     courses = means.stairs.courses
     span = float(np.ptp(courses.torque[0]))
     step = span * float(np.median(np.abs(np.diff(courses.setpoint[0]))))

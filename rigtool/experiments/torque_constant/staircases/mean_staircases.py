@@ -8,6 +8,7 @@ A hypothesis fixes s, tau, exponent and lag in (1) of
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
@@ -43,6 +44,9 @@ LARGEST_FRICTION = 0.25
 
 ASYMMETRY = 0.1
 """Standard deviation of friction's relative asymmetry, beforehand (assumed)."""
+
+CHANGE = 1e-2
+"""Relative change of what a hypothesis is linear about, and change of its asymmetry."""
 
 LARGEST_ASYMMETRY = 0.5
 """Beyond it, friction z (1 + A z) would not grow with its state z everywhere."""
@@ -95,14 +99,16 @@ class MeanStaircases:
         return list(paths(courses, courses.torque, courses.course, some))
 
     def _friction(
-        self, transition: Array, exponents: Array, lags: Sequence[float | None]
+        self, lengths: Array, exponents: Array, lags: Sequence[float | None]
     ) -> tuple[Array, Array]:
-        """Return columns of f and f z0 for each exponent, transition and lag, (e, s, l, g, p).
+        """Return columns of f and f z0 for each exponent, length and lag, (e, s, l, g, p).
 
-        Once the arm is known, friction follows its motion, which depends on friction, too.
+        `lengths` (s,) are transitions over their exponent, N m. Once the arm is known, friction
+        follows its motion, which depends on friction, too.
         """
         ways = np.stack(self._ways(lags), axis=1)
-        a, b = friction_state(ways, transition[:, None, None], exponents[:, None, None, None])
+        each = exponents[:, None, None, None]
+        a, b = friction_state(ways, lengths[:, None, None] * each, each)
         a, b = one_sided(a, b, self.asymmetry)
         shape, (a, b) = a.shape, (-each * self._weight for each in (a, b))
         if self.arm is None:
@@ -110,7 +116,8 @@ class MeanStaircases:
         level, state = self._levels(
             self._time_constant, *(each.reshape(-1, *self._weight.shape) for each in (a, b))
         )
-        laws = np.array(list(product(exponents, transition)))[:, :, None]
+        laws = np.array([(n, length * n) for n, length in product(exponents, lengths)])
+        laws = laws[:, :, None]
         contacts = Contacts(level[:, None], state, laws[:, 1], laws[:, 0], self.asymmetry)
         own = self.arm.friction_state(self.stairs.courses, contacts)
         a, b = (-(each * self._weight).reshape(shape) for each in own)
@@ -118,8 +125,8 @@ class MeanStaircases:
 
     def _friction_under(self, common: Common) -> tuple[Array, Array]:
         """Return columns of f and f z0 (g, p) under a hypothesis that has friction."""
-        s, exponent = np.array([common.transition]), np.array([common.exponent])
-        a, b = self._friction(s, exponent, [common.lag])
+        length = np.array([(common.transition or 0.0) / common.exponent])
+        a, b = self._friction(length, np.array([common.exponent]), [common.lag])
         return a[0, 0, 0], b[0, 0, 0]
 
     def friction_of_each(self, common: Common) -> tuple[Array, ...]:
@@ -160,13 +167,13 @@ class MeanStaircases:
         of these by what is possible for friction: mean, trend, loss by heat, and the trend with
         friction that does not change.
         """
-        transition, tau, exponents = (np.exp(axis) for axis in axes[:3])
+        lengths, tau, exponents = (np.exp(axis) for axis in axes[:3])
         lags: list[float | None] = [None]
         if self.arm is not None:
             lags = [self.arm.lag]
         elif len(axes) > 3:
             lags = list(np.exp(axes[3]).tolist())
-        columns = self._friction(transition, exponents, lags)
+        columns = self._friction(lengths, exponents, lags)
         shape = (len(tau), *columns[0].shape[:3])
         each = [column.reshape(-1, *self._weight.shape) for column in columns]
         fits = [self._fit(*self.thermal(time_constant), each) for time_constant in tau.tolist()]
@@ -176,7 +183,7 @@ class MeanStaircases:
             )
             for parts in zip(*fits, strict=True)
         )
-        warm = np.broadcast_to(warming(tau)[:, None, None], (len(transition), *shape[:2], shape[3]))
+        warm = np.broadcast_to(warming(tau)[:, None, None], (len(lengths), *shape[:2], shape[3]))
         slope[..., 2] *= warm.reshape(-1, 1)
         variance[..., 2] *= warm.reshape(-1, 1) ** 2
         return free, square, slope, variance
@@ -267,26 +274,50 @@ class MeanStaircases:
             courses = self.arm.moved(self.stairs.courses, self.contacts(common))
             self.stairs = replace(self.stairs, courses=courses)
 
-    def find_asymmetry(self, common: Common) -> None:
-        """Find friction's asymmetry, linear about that so far, with a hypothesis's friction.
+    def find_asymmetry(self, common: Common) -> float:
+        """Find friction's asymmetry, linear about that so far, and return its standard uncertainty.
 
-        Beforehand it is normal about 0 with `ASYMMETRY`; where friction is small, it stays there.
+        The hypothesis gives way by what is linear in its s, exponent and tau. Beforehand the
+        asymmetry is normal about 0 with `ASYMMETRY`; where friction is small, it stays there, and
+        0 is returned.
         """
         contacts = self.contacts(common)
         if contacts.level <= 0:
-            return
-        squared = -contacts.level * contacts.state**2 * self._weight
-        columns = self.columns(common)
-        columns.append(columns[0] * np.abs(columns[0]))
+            return 0.0
+        columns, squared = self._about(common, contacts)
         column = left_by(columns, squared)
         rest = left_by(columns, self._torque[..., 0])
-        power = float(np.sum(column**2))
-        change = float(np.sum(column * rest)) / max(power, TINY)
+        power = max(float(np.sum(column**2)), TINY)
+        change = float(np.sum(column * rest)) / power
         left = (rest - change * column).ravel()
         free = independent_samples(left, self._weight.ravel() > 0, 1) - PARAMETERS * self.kinds
         each = float(left @ left) / max(free, 1.0)
-        found = (self.asymmetry + change) / (1 + each / max(power, TINY) / ASYMMETRY**2)
+        known = 1 / (1 + each / power / ASYMMETRY**2)
+        found = (self.asymmetry + change) * known
         self.asymmetry = float(np.clip(found, -LARGEST_ASYMMETRY, LARGEST_ASYMMETRY))
+        return ASYMMETRY * math.sqrt(1 - known)
+
+    def _about(self, common: Common, contacts: Contacts) -> tuple[list[Array], Array]:
+        """Return columns (g, p) of (1) and of changes of s, exponent and tau, and the derivative of
+        friction by its asymmetry (g, p), N m."""
+
+        def friction(changed: Common) -> Array:
+            a, b = self._friction_under(changed)
+            return a * contacts.level + b * contacts.torque()[:, :1]
+
+        columns, now, more = self.columns(common), friction(common), 1 + CHANGE
+        columns.append(columns[0] * np.abs(columns[0]))
+        columns.append(self.thermal(common.time_constant * more)[1] - columns[3])
+        for changed in (
+            replace(common, transition=(common.transition or 0.0) * more),
+            replace(common, exponent=common.exponent * more),
+        ):
+            columns.append(friction(changed) - now)
+        asymmetry = self.asymmetry
+        self.asymmetry = asymmetry + CHANGE
+        derivative = (friction(common) - now) / CHANGE
+        self.asymmetry = asymmetry
+        return columns, derivative
 
     def columns(self, common: Common) -> list[Array]:
         """Return the columns of (1) on the mean staircases, current first, (g, p) each."""

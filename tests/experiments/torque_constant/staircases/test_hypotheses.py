@@ -15,6 +15,8 @@ from rigtool.experiments.torque_constant.staircases.hypotheses import (
     weigh_hypotheses,
     weighed,
 )
+from rigtool.experiments.torque_constant.staircases.mean_staircases import ASYMMETRY
+from rigtool.experiments.torque_constant.staircases.model import arrange
 from rigtool.experiments.torque_constant.staircases.plateaus import plateaus_of_set_point
 from rigtool.experiments.torque_constant.staircases.winding_time import (
     LONGEST_TIME_CONSTANT,
@@ -45,7 +47,9 @@ def test_friction_is_tried_as_well_with_every_time_constant(monkeypatch):
 
 
 class Bell:
-    """Hypotheses as probable as a normal distribution over the logarithms of s, tau, exponent."""
+    """Hypotheses as probable as a normal distribution over the logarithms of s/e, tau, exponent."""
+
+    asymmetry = 0.0
 
     alike = False
     """Whether a loss by heat leaves as much as none."""
@@ -149,6 +153,51 @@ def test_a_loss_by_heat_that_no_staircase_shows_is_improbable(kinds):
     ratio = np.trapezoid(prior * likelihood, loss) / 0.5
     # half of the likelihood is possible, which Q has
     assert shown[1] / shown[0] == pytest.approx(ratio**kinds, rel=1e-3)
+
+
+class Leaning(Bell):
+    """Hypotheses whose constant is the asymmetry, which has a likelihood of its own."""
+
+    def try_all(self, axes):
+        free, square, slope, variance = super().try_all(axes)
+        off = (self.asymmetry - self.likely) / self.width_of_asymmetry
+        square = np.ones(square.shape) * np.exp(off**2 / self.count)
+        return free, square, np.full(slope.shape, self.asymmetry), variance
+
+    kinds = 1
+
+    def independent(self, common):
+        return self.count
+
+
+@pytest.mark.parametrize("doubt", [0.03, 0.045])
+def test_the_constant_is_the_mean_over_friction_s_asymmetry(doubt):
+    """Of a normal likelihood and the normal distribution beforehand."""
+    bell = Leaning(np.zeros(3), 10.0)
+    bell.likely, bell.width_of_asymmetry, bell.count = 0.06, 0.05, 30.0
+    bell.asymmetry = 0.04
+    found = weighed(bell, [None], doubt)
+    assert bell.asymmetry == 0.04
+    known = 1 / (1 + (0.05 / ASYMMETRY) ** 2)
+    probable = found.probable()
+    mean = probable @ found.slope[:, 0]
+    assert mean == pytest.approx(0.06 * known, abs=0.006)
+    std = np.sqrt(probable @ (found.slope[:, 0] - mean) ** 2)
+    assert std == pytest.approx(0.05 * known**0.5, rel=0.15)
+    alone = weighed(bell, [None])
+    np.testing.assert_array_equal(alone.slope[:, 0], 0.04)
+
+
+def test_friction_s_law_is_found_along_what_staircases_show_of_it():
+    """They show f/s and e/s of friction, and little else: a grid in s and e misses most of what is
+    likely, and what it hits stands for all of the rest."""
+    bench = Bench(presliding_angle=3e-3, friction=4e-3, force_noise=1e-4, ripple=(), saturation=0.0)
+    signals = bench.record((20, 50), angles=2)
+    stairs = arrange(plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08))
+    found = weigh_hypotheses(stairs, bench.coefficient, np.zeros(4))
+    constant = bench.torque_constant * (1 + 15 * bench.coefficient)
+    assert found.constant == pytest.approx(constant, rel=2.5e-4, abs=0)
+    assert found.spread < 2e-4 * constant
 
 
 def test_what_all_staircases_have_in_common_makes_the_loss_by_heat_uncertain():

@@ -8,7 +8,7 @@ import pytest
 
 from rigtool.experiments.torque_constant.staircases.arm_motion import Arm, Contacts
 from rigtool.experiments.torque_constant.staircases.hypotheses import weigh_hypotheses
-from rigtool.experiments.torque_constant.staircases.mean_staircases import MeanStaircases
+from rigtool.experiments.torque_constant.staircases.mean_staircases import ASYMMETRY, MeanStaircases
 from rigtool.experiments.torque_constant.staircases.model import Common, arrange, winding
 from rigtool.experiments.torque_constant.staircases.plateaus import plateaus_of_set_point
 from rigtool.experiments.torque_constant.staircases.swings import (
@@ -177,5 +177,24 @@ def test_friction_that_is_larger_in_one_direction_is_found(asymmetry):
     means = MeanStaircases(stairs, bench.coefficient, np.zeros(4))
     common = Common(bench.stiffness * bench.presliding_angle, 1.0, None, bench.time_constant)
     for _ in range(3):
-        means.find_asymmetry(common)
+        doubt = means.find_asymmetry(common)
     assert means.asymmetry == pytest.approx(asymmetry, abs=0.04)
+    assert 0 < doubt < 0.04
+    assert means.find_asymmetry(replace(common, transition=None)) == 0.0
+
+
+def test_an_asymmetry_that_friction_s_law_may_explain_is_as_uncertain_as_it_scatters():
+    """Transition and exponent are not known beforehand."""
+    bench = Bench(ripple=(), saturation=0.0, presliding_angle=3e-3, friction=4e-3)
+    signals = bench.record((20, 50), angles=2)
+    stairs = arrange(plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08))
+    common = Common(bench.stiffness * bench.presliding_angle, 1.0, None, bench.time_constant)
+    rng, found, doubts = np.random.default_rng(1), [], []
+    for _ in range(60):
+        noise = 3e-5 * rng.standard_normal(stairs.torque.shape)
+        means = MeanStaircases(replace(stairs, torque=stairs.torque + noise), -1e-3, np.zeros(4))
+        doubts.append(means.find_asymmetry(common))
+        known = 1 - (doubts[-1] / ASYMMETRY) ** 2
+        found.append(means.asymmetry / known)
+    own = np.array(doubts) / np.sqrt(1 - (np.array(doubts) / ASYMMETRY) ** 2)
+    assert np.std(found) == pytest.approx(np.sqrt(np.mean(own**2)), rel=0.3)
