@@ -1,5 +1,6 @@
 """The sensor in C reads what the one in Python reads, whatever it is compiled for."""
 
+import ctypes
 import re
 import shutil
 import subprocess
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from rigtool.experiments.deploy.force_sensor import sensor_header
+from rigtool.experiments.force_filter.creeping import Creeping
 from rigtool.experiments.force_filter.motion_states import State
 from tests.experiments.deploy.sensors import (
     COUNTS,
@@ -236,3 +238,51 @@ def test_a_drive_that_the_equations_do_not_have_is_refused(changed):
 
     with pytest.raises(ValueError, match="need an inertia, and have no asymmetry"):
         header(instrument(model=Other()))
+
+
+UNBENT = """
+#include "sensor.h"
+void unbent(int steps, const int32_t *encoder, const double *bristle, double *found)
+{
+    struct rigtool_sensor s;
+    int k;
+    memset(&s, 0, sizeof s);
+    s.side = 1;
+    s.rested = -1;
+    for (k = 0; k < steps; k++) {
+        s.encoder = encoder[k];
+        s.x[RS_HOUSING] = bristle[k];
+        found[k] = rs_unbent(&s, 0);
+    }
+}
+"""
+
+
+def test_what_a_bristle_lacks_while_it_creeps_is_that_of_python(tmp_path):
+    """Turns after which the rotor creeps on for two seconds, with a bristle that is bent anew."""
+    own, random = instrument(), np.random.default_rng(4)
+    ends = random.uniform(0.2, 0.9, 60) * (-1) ** np.arange(60)
+    bristle = np.concatenate(
+        [
+            [0.0],
+            *(
+                np.r_[np.linspace(first, last, 300), np.full(1700, last)]
+                for first, last in zip(np.r_[0.0, ends[:-1]], ends, strict=True)
+            ),
+        ]
+    )
+    encoder = np.floor(np.cumsum(0.02 * np.sign(bristle))).astype(np.int32)
+    (tmp_path / "sensor.h").write_text(header(own))
+    (tmp_path / "unbent.c").write_text(UNBENT)
+    library = tmp_path / "unbent.so"
+    build = ["cc", "-std=c99", "-shared", "-fPIC", tmp_path / "unbent.c", "-o", library, "-lm"]
+    subprocess.run(build, check=True, timeout=120)
+    found = np.empty(len(bristle))
+    pointers = (each.ctypes.data_as(ctypes.c_void_p) for each in (encoder, bristle, found))
+    ctypes.CDLL(str(library)).unbent(len(bristle), *pointers)
+    plant, step_time = own.model.plant(own.grid.sample_time), own.grid.step_time
+    creeping = Creeping(own.count, plant.housing_presliding_angle, step_time)
+    still = np.zeros(len(bristle), dtype=bool)
+    wanted = creeping.add(own.count * encoder, bristle, still)
+    assert 0.05 < np.mean(wanted > 0) < 0.95
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12)
