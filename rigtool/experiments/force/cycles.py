@@ -116,9 +116,19 @@ def find_cycles(position: ArrayLike) -> list[Cycle]:
     if not cycles:
         raise InsufficientDataError(
             f"the position between {low:.4g} and {high:.4g} makes no full up-and-down: "
-            "record at least one cycle"
+            + _why_no_cycle(p[turns[first_low::2]], low)
         )
     return cycles
+
+
+def _why_no_cycle(lows: Array, low: float) -> str:
+    """Return why strokes, with these `lows` (n,), make no cycle, and what to do."""
+    if len(lows) < 3:
+        return "record at least one cycle"
+    return (
+        f"only once it goes down to {low:.4g}, else to {np.median(lows):.4g}, so it leaves its "
+        "path there: take a smaller load or a stiffer [rig.controller], which holds it"
+    )
 
 
 def readings(position: ArrayLike, torque: ArrayLike, cycles: list[Cycle], angle: float) -> Array:

@@ -266,13 +266,15 @@ def _uncertainty(torque: Array, revolutions: int) -> tuple[float, float]:
     return mean_uncertainties([(torque, revolutions)])[0]
 
 
-def mean_uncertainties(series: Sequence[tuple[Array, int]]) -> list[tuple[float, float]]:
+def mean_uncertainties(
+    series: Sequence[tuple[Array, int]], ordinates: int = NOISE_ORDINATES
+) -> list[tuple[float, float]]:
     """Return the standard uncertainty of each mean of correlated samples, N m, and its dof.
 
     The `series` (n,), N m, each with its whole turns, last equally long: they share the corner of
-    their noise, and each has its own level.
+    their noise, and each has its own level, from its lowest `ordinates`.
     """
-    noise = [_noise_by_corner(*one) for one in series]
+    noise = [_noise_by_corner(*one, ordinates) for one in series]
     log_likelihood = np.sum([likelihood for _, likelihood, _ in noise], axis=0)
     likelihood = np.exp(log_likelihood - log_likelihood.max())
     likelihood /= likelihood.sum()
@@ -287,7 +289,7 @@ def mean_uncertainties(series: Sequence[tuple[Array, int]]) -> list[tuple[float,
     return found
 
 
-def _noise_by_corner(torque: Array, revolutions: int) -> tuple[Array, Array, int]:
+def _noise_by_corner(torque: Array, revolutions: int, ordinates: int) -> tuple[Array, Array, int]:
     """Return log u^2 of a mean and its log-likelihood by corner, and the number of ordinates.
 
     The logarithm is minus infinity where there is no noise.
@@ -297,7 +299,7 @@ def _noise_by_corner(torque: Array, revolutions: int) -> tuple[Array, Array, int
     k = np.arange(1, len(power))
     if revolutions >= 2:
         k = k[k % revolutions != 0]
-    k = k[:NOISE_ORDINATES]
+    k = k[:ordinates]
     if not power[k].any():
         return np.full(NOISE_CORNERS.shape, -np.inf), np.zeros(NOISE_CORNERS.shape), len(k)
     shape = 1 + (k / NOISE_CORNERS[:, None]) ** 2

@@ -28,6 +28,10 @@ SPEED_BINS = 60
 ACCELERATION_LIMIT = 2.0
 """Largest acceleration in the sweep, relative to its median."""
 
+BIN_ORDINATES = 6
+"""Fourier components from which the noise of a bin is taken: up to some 10 Hz in a second. Above,
+the loop and the encoder's steps make more than friction does."""
+
 
 @dataclass(frozen=True)
 class TorqueSpeed:
@@ -110,7 +114,7 @@ def _noise(
         level = torque - slope[n] * (speed - speed.mean())
         series.append((np.interp(np.linspace(0, way[-1], len(way)), way, level), int(turns[n])))
     if shown:
-        found[shown] = mean_uncertainties(series)
+        found[shown] = mean_uncertainties(series, BIN_ORDINATES)
     return found[:, 0], found[:, 1]
 
 

@@ -69,6 +69,14 @@ def test_no_cycle_is_an_error(position):
         force.find_cycles(position)
 
 
+def test_strokes_that_a_load_pulls_off_their_path_are_no_lack_of_cycles():
+    """A load lets the shaft sag once, further than strokes differ in height."""
+    position = 2000 * (1 - np.cos(np.linspace(0, 12 * np.pi, 3001)))
+    position[:100] -= 900 * np.sin(np.linspace(0, np.pi, 100))
+    with pytest.raises(InsufficientDataError, match=r"goes down to -6\d\d.*stiffer \[rig"):
+        force.find_cycles(position)
+
+
 def test_readings_are_interpolated_at_the_angle_of_the_rising_stroke():
     time, angle = triangle(3)
     torque = 1e-3 * angle + 1e-4 * np.floor(time / 6.0)

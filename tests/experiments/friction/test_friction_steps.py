@@ -339,7 +339,8 @@ def test_a_bin_of_a_sweep_is_the_mean_of_its_whole_turns(back):
 @pytest.mark.parametrize("back", [False, True])
 @pytest.mark.parametrize("corner_time", [0.0, 0.15])
 def test_u_of_a_sweep_is_the_scatter_of_repeats(back, corner_time):
-    """Neighbouring turns share noise that varies in 0.15 s; slope and ripple are none of it."""
+    """Neighbouring turns share noise that varies in 0.15 s; slope, ripple and the loop's faster
+    noise are none of it."""
     rng, sample = np.random.default_rng(6), 2e-3
     time, angle, speed = swept(seconds=120.0 if back else 60.0, sample=sample, back=back)
     kept = math.exp(-sample / corner_time) if corner_time else 0.0
@@ -347,7 +348,8 @@ def test_u_of_a_sweep_is_the_scatter_of_repeats(back, corner_time):
     for _ in range(30):
         white = math.sqrt(1 - kept**2) * 1e-4 * rng.standard_normal(len(time))
         ripple = 1e-3 * np.cos(angle + rng.uniform(0, 2 * np.pi))
-        torque = 2e-3 + 5e-5 * speed + ripple + lfilter([1.0], [1.0, -kept], white)
+        loop = 1e-4 * rng.standard_normal(len(time)) * (corner_time > 0)
+        torque = 2e-3 + 5e-5 * speed + ripple + loop + lfilter([1.0], [1.0, -kept], white)
         curve = torque_speed_curve(time=time, setpoint=angle, torque=torque, inertia=0.0)
         found.append((curve.torque - 5e-5 * curve.speed, curve.u, curve.dof))
     level, u, dof = np.moveaxis(np.array(found)[..., 30:], 1, 0)
