@@ -13,10 +13,11 @@ edition, Wiley 2012, section 9.8).
 A second mass is fitted only where the rigid plant deviates by more than is usual, and accepted
 only where it is better by an F test and has its resonance within the band. Where the test
 does not decide, the plant is rigid, and what a second mass would change is an uncertainty of its
-own. Scatter is the larger of two: that of the experiments by the jackknife (a linear step instead
-of a new fit), which includes errors common to all lines but rests on few experiments; and that of
-the lines, propagated by least squares and raised by their deviation from the model, which rests on
-many.
+own. Behind a tendon there is a second mass: one that does not show is possible, however well one
+inertia explains the response. Scatter is the larger of two: that of the experiments by the
+jackknife (a linear step instead of a new fit), which includes errors common to all lines but rests
+on few experiments; and that of the lines, propagated by least squares and raised by their deviation
+from the model, which rests on many.
 """
 
 from __future__ import annotations
@@ -107,9 +108,12 @@ class PlantFit:
         return abs(statistic(self.possible) - statistic(self)) if self.possible else 0.0
 
 
-def fit_plant(found: FrequencyResponse, sample_time: float, nominal_inertia: float) -> PlantFit:
+def fit_plant(
+    found: FrequencyResponse, sample_time: float, nominal_inertia: float, *, tendon: bool = False
+) -> PlantFit:
     """Fit the simplest model that the response supports, from `nominal_inertia`, kg m2.
 
+    With a `tendon` a second mass is known to be there, and is possible wherever it is not seen.
     Lines at which dynamics above the band, such as a slow current loop, have rolled off by more
     than their series holds (`SERIES`) are left out. Raises `InsufficientDataError` where too few
     lines are coherent with the excitation, or left.
@@ -118,7 +122,7 @@ def fit_plant(found: FrequencyResponse, sample_time: float, nominal_inertia: flo
     if used.sum() < max(MIN_LINES, len(used) / 2):
         raise InsufficientDataError(_incoherent(found, used))
     while True:
-        fit = _of_lines(found, used, sample_time, nominal_inertia)
+        fit = _of_lines(found, used, sample_time, nominal_inertia, tendon)
         highest = math.sqrt(SERIES / max(fit.roll_off, TINY)) / (2 * math.pi)
         within = used & (found.frequency <= highest)
         if not fit.model.rigid or (within == used).all():
@@ -158,14 +162,18 @@ def _incoherent(found: FrequencyResponse, used: Mask) -> str:
 
 
 def _of_lines(
-    found: FrequencyResponse, used: Mask, sample_time: float, nominal_inertia: float
+    found: FrequencyResponse,
+    used: Mask,
+    sample_time: float,
+    nominal_inertia: float,
+    tendon: bool,
 ) -> PlantFit:
     """Return the simplest model that these lines support."""
     data = _Data(found.lines(used))
     nominal = PlantModel(nominal_inertia, 0.0)
     start = PlantFit(nominal, 0.0, 0.0, 0.0, sample_time, used, 1.0, 1.0)
     rigid = data.fitted(start)
-    two = _second_mass(data, rigid)
+    two = _second_mass(data, rigid, tendon)
     if two is None:
         return data.with_scatter(rigid)
     doubt = two.rigid_rejected
@@ -174,9 +182,12 @@ def _of_lines(
     return replace(data.with_scatter(rigid), rigid_rejected=doubt, possible=two)
 
 
-def _second_mass(data: _Data, rigid: PlantFit) -> PlantFit | None:
-    """Return the fit with a second mass where the data ask for it or leave a doubt, else None."""
-    if data.explained(rigid) > LITTLE_LEFT:
+def _second_mass(data: _Data, rigid: PlantFit, known: bool) -> PlantFit | None:
+    """Return the fit with a second mass where the data ask for it or leave a doubt, else None.
+
+    Where it is `known` to be there, the data always leave one, if it fits best within the band.
+    """
+    if data.explained(rigid) > LITTLE_LEFT and not known:
         return None
     low, high = data.found.frequency[[0, -1]]
     candidates = []
@@ -189,7 +200,11 @@ def _second_mass(data: _Data, rigid: PlantFit) -> PlantFit | None:
     ratio = ((left - rest) / (free - more)) / (rest / more)
     better = float(special.fdtrc(free - more, more, ratio))
     inside = low < best.model.antiresonance_hz and best.model.resonance_hz < high
-    return replace(best, rigid_rejected=better) if better < DOUBT and inside else None
+    return (
+        replace(best, rigid_rejected=better)
+        if better < (1.0 if known else DOUBT) and inside
+        else None
+    )
 
 
 class _Data:

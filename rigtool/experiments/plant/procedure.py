@@ -113,8 +113,9 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run | None = None) -> Ou
     )
     count = 2 * math.pi / recipe.rig.encoder_counts
     response = frequency_response(experiments, lines, sample_time, count)
-    fit = fit_plant(response, sample_time, recipe.rig.nominal_inertia)
-    if recipe.rig.attachment == "pulley":
+    free = recipe.rig.attachment == "pulley"
+    fit = fit_plant(response, sample_time, recipe.rig.nominal_inertia, tendon=not free)
+    if free:
         experiments = without_angle_torque(experiments, lines, fit)
         response = frequency_response(experiments, lines, sample_time, count)
         fit = fit_plant(response, sample_time, recipe.rig.nominal_inertia)

@@ -163,6 +163,19 @@ def test_what_a_possible_second_mass_would_change_is_an_uncertainty_beside_scatt
         assert found.u >= math.hypot(fit.scatter(statistic), change) * (1 - 1e-9)
 
 
+@pytest.mark.parametrize("seed", [2, 6])
+def test_behind_a_tendon_a_second_mass_that_does_not_show_is_possible(seed):
+    hidden = replace(TWO, motor_side=0.96, damping=1.0)
+    found = measured(hidden, seed, noise=4e-2, experiments=6)
+    plain, known = (
+        fit_plant(found, SAMPLE_TIME, NOMINAL, tendon=tendon) for tendon in (False, True)
+    )
+    assert plain.possible is None
+    assert known.model == plain.model
+    assert known.possible is not None
+    assert known.doubt(lambda fit: fit.model.inertia) > 0
+
+
 def test_a_second_mass_shows_also_where_experiments_scatter_by_more_than_lines_do():
     """Errors of whole experiments make their scatter large, and hardly bend the response."""
     small = PlantModel(2.08e-5, 1e-4, 0.96, 50.0, 0.6)

@@ -248,6 +248,21 @@ def test_the_instrument_is_not_a_rigid_body(instrument):
     assert any("a rigid inertia does not explain" in note for note in instrument[1].notes)
 
 
+@pytest.mark.parametrize("attachment", ["pulley", "instrument"])
+def test_the_instrument_is_known_to_have_a_second_mass(
+    request, monkeypatch, folder, kt, attachment
+):
+    class Fitting(Exception): ...
+
+    def fit(*_, tendon):
+        raise Fitting(tendon)
+
+    monkeypatch.setattr("rigtool.experiments.plant.procedure.fit_plant", fit)
+    path = request.getfixturevalue(attachment)[0]
+    with pytest.raises(Fitting, match=str(attachment == "instrument")):
+        run(IDENTIFY_PLANT, path, folder / f"fitting-{attachment}.h5", kt=kt)
+
+
 def test_stored_signals_give_the_same_again(pulley, folder, kt):
     path, outcome = pulley
     again = run(IDENTIFY_PLANT, path, folder / "again.h5", kt=kt)
