@@ -288,7 +288,8 @@ def loss_by_heat(hypotheses: Hypotheses) -> tuple[float, float]:
     """
     means, found = hypotheses.means, hypotheses.weighed
     losses = found.slope[:, 2]
-    probable = found.probable(means.plateaus * (LAW * means.contacts(found.best).level) ** 2)
+    friction = float(means.contacts(found.best).level)
+    probable = found.probable(means.plateaus * (LAW * friction) ** 2)
     probable = probable * (losses > 0)
     shown = float(probable.sum())
     probable /= max(shown, TINY)
