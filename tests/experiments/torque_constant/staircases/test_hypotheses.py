@@ -172,7 +172,7 @@ class Leaning(Bell):
         return self.count
 
 
-@pytest.mark.parametrize("doubt", [0.03, 0.045])
+@pytest.mark.parametrize("doubt", [0.04, 0.055])
 def test_the_constant_is_the_mean_over_friction_s_asymmetry(doubt):
     """Of a normal likelihood and the normal distribution beforehand."""
     bell = Leaning(np.zeros(3), 10.0)

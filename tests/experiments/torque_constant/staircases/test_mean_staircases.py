@@ -55,7 +55,7 @@ def test_a_hypothesis_leaves_what_least_squares_leave_of_the_mean_staircase(stai
     means = MeanStaircases(replace(stairs, torque=torque), coefficient, trend)
     count = torque.shape[1]
     assert means.dof == count - 7
-    axes = [np.log([s]), np.log([tau]), np.log([exponent])]
+    axes = [np.log([s / exponent]), np.log([tau]), np.log([exponent])]
     found = means.try_all(axes)
     free, square, slope, variance = (each[0, int(loss > 0)] for each in found)
     common = Common(None if free else s, exponent, None, tau)
@@ -185,7 +185,8 @@ def test_friction_that_is_larger_in_one_direction_is_found(asymmetry):
 
 def test_an_asymmetry_that_friction_s_law_may_explain_is_as_uncertain_as_it_scatters():
     """Transition and exponent are not known beforehand."""
-    bench = Bench(ripple=(), saturation=0.0, presliding_angle=3e-3, friction=4e-3)
+    quiet = {"force_noise": 1e-6, "ripple": (), "saturation": 0.0}
+    bench = Bench(presliding_angle=3e-3, friction=4e-3, **quiet)
     signals = bench.record((20, 50), angles=2)
     stairs = arrange(plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08))
     common = Common(bench.stiffness * bench.presliding_angle, 1.0, None, bench.time_constant)
