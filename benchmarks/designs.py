@@ -284,6 +284,15 @@ class Winding:
         return sum_ / len(counted)
 
 
+def dry_friction(recipe: Recipe, speed: float) -> float:
+    """Return the friction, N m, of a motor that turns evenly forwards, without the viscous one."""
+    assert recipe.virtual is not None
+    motor = recipe.virtual.motor
+    stribeck = math.exp(-((speed / motor.stribeck_velocity) ** 2))
+    level = motor.coulomb_friction + (motor.static_friction - motor.coulomb_friction) * stribeck
+    return level * (1 + motor.friction_asymmetry)
+
+
 def true_orders(recipe: Recipe, speed: float, load: float, degc: float) -> np.ndarray:
     """Return the amplitudes of orders 0, 1, 2... of the torque ripple, N m."""
     assert recipe.virtual is not None
@@ -294,7 +303,7 @@ def true_orders(recipe: Recipe, speed: float, load: float, degc: float) -> np.nd
     offset, gain, saturation, cogging, modulation = table.T
     viscous = motor.viscous_friction * speed
     # Torque at the shaft over one turn: what the motor has to hold, at constant speed.
-    held = (load + motor.coulomb_friction + viscous * (1 + modulation) - cogging) / constant
+    held = (load + dry_friction(recipe, speed) + viscous * (1 + modulation) - cogging) / constant
     order = np.arange(len(table) // 2 + 1)
     lag = 1 + 1j * order * speed / (2 * math.pi * virtual.amplifier.ripple_corner_hz)
     current = held.copy()

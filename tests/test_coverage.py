@@ -34,3 +34,20 @@ def test_designs_that_learn_the_same_loads_share_a_rig(monkeypatch):
     shared = [[designs.DESIGNS[n] for n in group] for group in groups if len(group) > 1]
     assert [len({one.draw for one in group}) for group in shared] == [1, 1]
     assert all(one.learns is not None for group in shared for one in group)
+
+
+def test_ripple_grows_with_the_current_that_holds_the_friction_at_its_speed(monkeypatch):
+    """Of a motor whose friction at rest is twice as much, and 1.25 times as much forwards."""
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    import designs
+    from trials import RECIPE
+
+    from rigtool.recipe import load_recipe
+
+    names = "coulomb_friction=4e-3", "static_friction=8e-3", "stribeck_velocity=1"
+    settings = (*names, "friction_asymmetry=0.25")
+    recipe, _ = load_recipe(RECIPE, tuple(f"virtual.motor.{name}" for name in settings))
+    falls = math.exp(-4)
+    assert designs.dry_friction(recipe, 2.0) == 1.25 * (4e-3 + 4e-3 * falls)
+    slow, fast = (designs.true_orders(recipe, v, 0.05, 20.0) for v in (0.01, 10.0))
+    assert slow[2] > 1.02 * fast[2] > 0

@@ -156,11 +156,13 @@ class Ripple:
 class LoopRipple(Ripple):
     """Ripple that the position loop shows: `durations` (revolutions, positions) are how long the
     rotor takes for each cell, s; `steps` (m,) the amplitudes, N m, that the loop answers the
-    encoder's steps with at orders 1..m.
+    encoder's steps with at orders 1..m; `friction_change` is the standard change of friction, N m,
+    with the relative change of the speed.
     """
 
     durations: Array
     steps: Array
+    friction_change: float
 
 
 def remove_offset(waveforms: Array, sampling: Sampling) -> Ripple:

@@ -44,6 +44,7 @@ from rigtool.experiments.ripple.results import (
     steps_note,
     varying_note,
 )
+from rigtool.experiments.ripple.varying_speed import friction_changes
 from rigtool.experiments.ripple.winding_heat import Lowered, TurnCurrents, winding_heat
 from rigtool.experiments.torque_constant.staircases.model import COPPER_COEFFICIENT
 from rigtool.experiments.torque_per_ampere import (
@@ -162,9 +163,10 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     ]
     constants, per_amperes, heat_note = _constants(kt, recorded, found)
     held = [own.waveforms * k for own, k in zip(found, per_amperes, strict=True)]
+    changes = _friction_changes(recorded, [float(torque.mean()) for torque in held])
     ripples = [
-        LoopRipple(torque - torque.mean(), own.sampling, own.durations, own.steps)
-        for own, torque in zip(found, held, strict=True)
+        LoopRipple(torque - torque.mean(), own.sampling, own.durations, own.steps, change)
+        for own, torque, change in zip(found, held, changes, strict=True)
     ]
     by_speed, by_torque = ripples[: len(speeds)], ripples[len(speeds) :][: len(torques)]
     by_cycle = ripples[len(speeds) + len(torques) :]
@@ -197,6 +199,21 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     if not comparisons:
         notes.append("fewer than two power cycles: nothing to compare")
     return Outcome(results, tables, tuple(notes))
+
+
+def _friction_changes(recorded: Sequence[Recording], torque: Sequence[float]) -> list[float]:
+    """Return the `friction_changes` of each recording by its mean torque, N m."""
+    friction: dict[float, float] = {}
+    for recording, mean in zip(recorded, torque, strict=True):
+        constant = recording.condition("torque") if "torque" in recording.conditions else 0.0
+        speed = recording.condition("speed")
+        # A constant torque is known to some per cent of it: without one, friction is known better.
+        if speed not in friction or not constant:
+            friction[speed] = mean - constant
+    speeds = sorted(friction)
+    changes = friction_changes(np.array(speeds), np.array([friction[speed] for speed in speeds]))
+    found = dict(zip(speeds, changes.tolist(), strict=True))
+    return [found[recording.condition("speed")] for recording in recorded]
 
 
 def _shaking_note(recordings: Sequence[Recording], recipe: Recipe) -> list[str]:

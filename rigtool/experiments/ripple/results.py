@@ -20,7 +20,11 @@ from rigtool.experiments.ripple.orders import (
     spectrum,
 )
 from rigtool.experiments.ripple.shared_scatter import shared_floor
-from rigtool.experiments.ripple.varying_speed import motor_orders, speed_variation
+from rigtool.experiments.ripple.varying_speed import (
+    motor_orders,
+    speed_variation,
+    uneven_orders,
+)
 from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.quantity import Quantity, error_line
 from rigtool.recipe import Recipe
@@ -83,15 +87,17 @@ def varying_note(recordings: Sequence[Recording], ripples: Sequence[LoopRipple])
             raise InsufficientDataError(f"{sticks}: {remedy}")
         notes.append(f"{sticks}, and there is no value; {remedy}")
         varying = {name: part for name, part in varying.items() if name not in standing}
-    worst = max(varying, key=lambda name: varying[name])
-    if varying[worst] <= VARYING_LIMIT:
+    uneven = [
+        f"{name} by {100 * part:.0f} %" for name, part in varying.items() if part > VARYING_LIMIT
+    ]
+    if not uneven:
         return notes
     return [
         *notes,
-        f"{worst}: ripple varies the speed by {100 * varying[worst]:.0f} % around "
-        f"the turn (limit {100 * VARYING_LIMIT:.0f} %): amplitudes are those of this motion, and "
-        "friction that changes with the speed, and a ripple's lag behind its angle, are part of "
-        "them; take a stiffer controller for those of an even speed",
+        f"ripple varies the speed around the turn (limit {100 * VARYING_LIMIT:.0f} %) of "
+        f"{', '.join(uneven)}: amplitudes are those of this motion, and friction that changes with "
+        "the speed, and a ripple's lag behind its angle, are part of them, which u includes; take "
+        "a stiffer controller for those of an even speed",
     ]
 
 
@@ -146,7 +152,7 @@ def _spectrum(
     u of their amplitudes by the motion. No order has a value where the rotor stands in places.
 
     What accelerates the inertia is as uncertain as it; what cells twice as wide change, they do not
-    resolve. The encoder's steps are part of the noise floor.
+    resolve; torque changes with an uneven speed. The encoder's steps are part of the noise floor.
     """
     order = np.arange(1.0, HIGHEST_ORDER + 1)
     loop = _loop(recipe, order * turns_per_s)
@@ -170,7 +176,8 @@ def _spectrum(
         own, amplitude=known * own.amplitude, phase=known * own.phase, noise_floor=known * total
     )
     by_inertia = INERTIA_U * np.abs((asked - found).mean(axis=0))
-    return motor, dof, np.hypot(by_inertia, unresolved)
+    uneven = uneven_orders(ripple, HIGHEST_ORDER)
+    return motor, dof, np.sqrt(by_inertia**2 + unresolved**2 + uneven**2)
 
 
 def ripple_results(by_speed: Sequence[Ripple]) -> dict[str, Quantity]:

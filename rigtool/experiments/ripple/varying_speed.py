@@ -46,6 +46,34 @@ def fastest(durations: Array) -> float:
     return 1 / max(float(np.fft.irfft(slow, mean.size).min()), 1 / LEAP)
 
 
+def friction_changes(speed: Array, friction: Array) -> Array:
+    """Return the standard change of friction, N m, with the relative change of each speed (n,).
+
+    Between two others of these rising speeds its slope is taken as up to the steeper of those to
+    them, which holds for a friction (n,), N m, that bends one way. At the ends nothing shows it:
+    from all of the friction more, as viscous friction rises, to as much less, as that of a mixed
+    lubrication falls, a rectangular distribution.
+    """
+    changes: Array = np.abs(friction) / np.sqrt(3)
+    slopes = np.abs(np.diff(friction) / np.diff(speed))
+    changes[1:-1] = (np.maximum(slopes[1:], slopes[:-1]) * speed[1:-1])[: max(speed.size - 2, 0)]
+    return changes
+
+
+def uneven_orders(ripple: LoopRipple, orders: int) -> Array:
+    """Return what the motor's torque changes by with a speed that varies around the turn: the
+    standard uncertainty of orders 1..`orders`, (orders,), N m, as those of an even speed.
+
+    Friction changes with the speed, and ripple that lags behind its angle by up to as much as the
+    speed, more or less: a rectangular distribution.
+    """
+    mean = ripple.durations.mean(axis=0)
+    uneven = mean.mean() / mean - 1
+    parts = np.stack([ripple.friction_change * uneven, ripple.mean / np.sqrt(3) * uneven])
+    found: Array = np.linalg.norm(coefficients(parts, orders, ripple.sampling), axis=0)
+    return found
+
+
 def motor_orders(
     ripple: LoopRipple, inertia: float, late: ComplexArray, width: int = 1
 ) -> tuple[ComplexArray, ComplexArray]:

@@ -9,7 +9,7 @@ import pytest
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.ripple import procedure as fft_ripple
 from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
-from rigtool.experiments.ripple.procedure import _shaking_note
+from rigtool.experiments.ripple.procedure import _friction_changes, _shaking_note
 from rigtool.experiments.ripple.procedure_steady import collected, steady_samples
 from rigtool.experiments.ripple.results import steps_note
 from rigtool.experiments.ripple.shared_scatter import shared_floor
@@ -349,4 +349,49 @@ def test_a_soft_loop_makes_no_orders_of_strong_ripple(folder, kt):
     found = outcome.tables["speed_spectrum"]["amplitude"][0]
     assert found[[8, 12]] == pytest.approx([1.2e-3, 1e-3], rel=0.02, abs=0)
     assert np.delete(found[:22], [8, 12]).max() < 0.01e-3
-    assert any("speed_000: ripple varies the speed by" in note for note in outcome.notes)
+    assert any(
+        "ripple varies the speed" in note and "speed_000 by" in note for note in outcome.notes
+    )
+
+
+def test_friction_that_changes_with_the_speed_is_part_of_u(folder, kt):
+    """Viscous friction of 1 mN m s, where a speed varies by some per cent, without a note."""
+    outcome = run(
+        FFT_RIPPLE,
+        RECIPE,
+        folder / "viscous.h5",
+        *SHORT,
+        *QUIET,
+        "virtual.motor.cogging=[{ order = 12, amplitude = 0.3e-3 }]",
+        "virtual.motor.viscous_friction=1e-3",
+        "virtual.motor.inertia=1.5028e-5",
+        "rig.controller.crossover_hz=20",
+        "fft_ripple.speeds=[3, 6, 12]",
+        "fft_ripple.torques=[]",
+        "fft_ripple.power_cycles=0",
+        kt=kt,
+    )
+    table = outcome.tables["speed_spectrum"]
+    away = abs(table["amplitude"][1, 11] - 0.3e-3)
+    assert away > 5 * table["noise_floor"][1, 11]
+    assert away < 2 * table["u"][1, 11]
+    assert not any("varies the speed" in note for note in outcome.notes)
+
+
+def test_friction_is_the_mean_torque_without_the_constant_one():
+    """Of one speed that without a constant torque counts, whichever comes first."""
+
+    def turning(speed, **torque):
+        conditions = {"speed": speed, **torque}
+        return SimpleNamespace(conditions=conditions, condition=conditions.__getitem__)
+
+    recorded = [turning(2.0), turning(4.0), turning(1.0, torque=0.1), turning(1.0), turning(8.0)]
+    for last in (recorded[:4], recorded):
+        means = [3e-3, 5e-3, 0.104, 2e-3, 6e-3][: len(last)]
+        changes = _friction_changes(last, means)
+        alone = _friction_changes(last[:2] + last[3:], means[:2] + means[3:])
+        assert changes[:2] + changes[3:] == alone
+        assert changes[2] == changes[3] == pytest.approx(2e-3 / math.sqrt(3))
+        assert changes[0] == pytest.approx(1e-3 * 2.0)
+    only = _friction_changes(recorded[2:3] + recorded[:1], [0.104, 3e-3])
+    assert only[0] == pytest.approx(4e-3 / math.sqrt(3))

@@ -23,6 +23,7 @@ from rigtool.experiments.ripple.results import (
     varying_note,
 )
 from rigtool.experiments.ripple.shared_scatter import shared_floor
+from rigtool.experiments.ripple.varying_speed import uneven_orders
 from rigtool.quantity import Quantity, combined, error_line
 from rigtool.recipe import load_recipe
 from tests.experiments.ripple.fine import FINE
@@ -36,7 +37,7 @@ def ripple(amplitudes, turns, noise=1e-4, seed=1):
     rng = np.random.default_rng(seed)
     wave = sum(a * np.cos(k * ANGLE + 0.3 * k) for k, a in amplitudes.items())
     torque = wave + noise * rng.standard_normal((turns, POSITIONS))
-    return LoopRipple(torque, FINE, np.ones_like(torque), np.zeros(HIGHEST_ORDER))
+    return LoopRipple(torque, FINE, np.ones_like(torque), np.zeros(HIGHEST_ORDER), 0.0)
 
 
 def moved(own, recipe, speed):
@@ -106,6 +107,7 @@ def test_orders_are_those_of_the_motor_with_a_budget_each(stored):
                     2 * (len(own.waveforms) - 1),
                 ),
                 error_line("T", amplitude * abs(1 - response[k - 1]) * INERTIA_U, "N m"),
+                error_line("speed", uneven_orders(own, HIGHEST_ORDER)[k - 1], "N m"),
                 error_line(
                     "constant", amplitude * constant.u / constant.value, "N m", constant.dof
                 ),
@@ -211,7 +213,8 @@ def test_floors_of_the_scatter_are_those_of_the_motor(stored):
 
 def test_what_the_loop_asks_for_holds_the_ripple_and_accelerates_the_inertia():
     """A speed of 3 rad/s that swings by 0.4: orders 4 and 20 of the ripple alone are the motor's,
-    beside those of the torque that swings it, as uncertain as the inertia."""
+    beside those of the torque that swings it, as uncertain as the inertia, and as torque may change
+    with the speed."""
     recipe, _ = load_recipe(RECIPE, ())
     inertia, samples = recipe.rig.nominal_inertia, 200 * POSITIONS
     fine = (np.arange(samples) + 0.5) * 2 * np.pi / samples
@@ -220,7 +223,12 @@ def test_what_the_loop_asks_for_holds_the_ripple_and_accelerates_the_inertia():
     swings = (inertia * speed * slope).reshape(POSITIONS, -1).mean(axis=1)
     taken = (2 * np.pi / samples / speed).reshape(POSITIONS, -1).sum(axis=1)
     own = ripple({4: 1e-3, 20: 0.2e-3}, 12, noise=1e-7)
-    made = replace(own, waveforms=own.waveforms + swings, durations=np.tile(taken, (12, 1)))
+    made = replace(
+        own,
+        waveforms=own.waveforms + swings,
+        durations=np.tile(taken, (12, 1)),
+        friction_change=0.3e-3,
+    )
     turning = SimpleNamespace(name="0", condition=lambda name: 3.0)
     constants = {"0": Quantity(0.05, "N m/A", 0.0)}
     tables = condition_tables("speed", "speed", "rad/s", [turning], [made], constants, recipe)
@@ -230,9 +238,12 @@ def test_what_the_loop_asks_for_holds_the_ripple_and_accelerates_the_inertia():
     assert amplitude[3] == pytest.approx(1e-3 / np.sinc(4 / POSITIONS), rel=0.01)
     assert amplitude[19] == pytest.approx(0.2e-3 / np.sinc(20 / POSITIONS), rel=0.01)
     assert np.delete(amplitude, [3, 19]).max() < 0.01e-3
-    swing = np.abs(np.fft.rfft(swings))[1:101] * 2 / POSITIONS
+    local = taken.mean() / taken - 1
+    parts = swings * INERTIA_U, made.mean * local / math.sqrt(3), made.friction_change * local
+    orders = np.abs(np.fft.rfft(parts))[:, 1:101] * 2 / POSITIONS
     for order in (4, 8, 16, 20, 24):
-        assert found["u"][0][order - 1] == pytest.approx(swing[order - 1] * INERTIA_U, rel=0.05)
+        u = np.linalg.norm(orders[:, order - 1])
+        assert found["u"][0][order - 1] == pytest.approx(u, rel=0.05)
 
 
 def test_a_place_where_the_rotor_dwells_is_as_uncertain_as_cells_resolve_it():
@@ -287,7 +298,7 @@ def swinging(part):
 def test_a_rotor_that_sticks_and_slips_has_no_ripple_and_the_others_have():
     """Time for each angle goes with 1/speed: its mean is 1, its mean square 1/sqrt(1 - part^2)."""
     recipe, _ = load_recipe(RECIPE, ())
-    names, parts = ["slow", "swings", "fast"], [0.88, 0.85, 0.01]
+    names, parts = ["slow", "swings", "sways", "fast"], [0.88, 0.85, 0.1, 0.01]
     made = [replace(ripple({2: 1e-3}, 3), durations=swinging(part)) for part in parts]
     recordings = [
         SimpleNamespace(name=name, condition=lambda _, v=v: v)
@@ -297,13 +308,14 @@ def test_a_rotor_that_sticks_and_slips_has_no_ripple_and_the_others_have():
     tables = condition_tables("speed", "speed", "rad/s", recordings, made, constants, recipe)
     spectra = tables["speed_spectrum"]
     for column in ("amplitude", "noise_floor", "u"):
-        assert np.isfinite(spectra[column][:, 1]).tolist() == [False, True, True]
+        assert np.isfinite(spectra[column][:, 1]).tolist() == [False, True, True, True]
     sticks, varies = varying_note(recordings, made)
     assert sticks.startswith("slow: the rotor sticks and slips")
-    stated = re.match(r"swings: ripple varies the speed by (\d+) %", varies)
-    square = 1 / math.sqrt(1 - 0.85**2) - 1
-    assert int(stated.group(1)) == pytest.approx(100 * math.sqrt(square), rel=0.03)
-    assert varying_note(recordings[2:], made[2:]) == []
-    assert len(varying_note(recordings[::2], made[::2])) == 1
+    stated = re.search(r"of swings by (\d+) %, sways by (\d+) %: amplitudes", varies)
+    for found, part in zip(stated.groups(), parts[1:3], strict=True):
+        square = 1 / math.sqrt(1 - part**2) - 1
+        assert int(found) == pytest.approx(100 * math.sqrt(square), rel=0.03)
+    assert varying_note(recordings[3:], made[3:]) == []
+    assert len(varying_note(recordings[::3], made[::3])) == 1
     with pytest.raises(InsufficientDataError, match=r"slow: the rotor sticks .* turn faster"):
         varying_note(recordings[:1], made[:1])

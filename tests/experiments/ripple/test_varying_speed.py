@@ -8,8 +8,10 @@ from rigtool.experiments.ripple.orders import LoopRipple, Sampling
 from rigtool.experiments.ripple.varying_speed import (
     LEAP,
     fastest,
+    friction_changes,
     motor_orders,
     speed_variation,
+    uneven_orders,
 )
 from tests.experiments.ripple.fine import FINE
 
@@ -26,7 +28,7 @@ def durations(speed):
 
 def accelerating(durations, sampling=FINE, width=1):
     """Return the orders that accelerate the inertia: without torque, those of the ripple less."""
-    still = LoopRipple(np.zeros_like(durations), sampling, durations, np.zeros(ORDERS))
+    still = LoopRipple(np.zeros_like(durations), sampling, durations, np.zeros(ORDERS), 0.0)
     asked, found = motor_orders(still, INERTIA, np.ones(ORDERS, complex), width)
     assert not asked.any()
     return -found
@@ -72,7 +74,7 @@ def test_torque_counts_by_the_time_that_it_acts_and_turns_to_when_it_does():
     taken = np.tile([1e-3, 3e-3], (2, CELLS // 2))
     for width in (1, 2):
         torque = np.tile(wave * np.sinc(3 / CELLS), (2, 1))
-        own = LoopRipple(torque, FINE, taken, np.zeros(ORDERS))
+        own = LoopRipple(torque, FINE, taken, np.zeros(ORDERS), 0.0)
         asked, _ = motor_orders(own, INERTIA, turned, width)
         assert_allclose(asked[:, 2], np.exp(-0.3j), rtol=2e-3)
         assert np.abs(np.delete(asked, 2, axis=1)).max() < 1e-3
@@ -99,3 +101,26 @@ def test_the_speed_varies_up_to_order_30_if_not_more_are_asked_for(order, part):
 def test_the_fastest_place_is_where_a_cell_takes_least_time(order, expected):
     assert fastest(waving(0.2 / np.sqrt(2), order)) == pytest.approx(expected, rel=1e-3)
     assert fastest(waving(1.0, 2)) == LEAP
+
+
+def test_friction_changes_by_the_steeper_slope_to_the_speeds_around_and_at_the_ends_by_any():
+    """Between others a slope of 2 and -0.5 mN m s, then of -0.5 and 1; backwards as forwards."""
+    speed, friction = np.array([1.0, 2.0, 6.0, 8.0]), np.array([3.0, 5.0, 3.0, 5.0]) * 1e-3
+    ends = 3e-3 / np.sqrt(3), 5e-3 / np.sqrt(3)
+    for sign in (1, -1):
+        found = friction_changes(speed, sign * friction)
+        assert_allclose(found, [ends[0], 2e-3 * 2.0, 1e-3 * 6.0, ends[1]])
+    for few in (1, 2):
+        assert_allclose(friction_changes(speed[:few], friction[:few]), friction[:few] / np.sqrt(3))
+
+
+def test_torque_changes_with_an_uneven_speed_as_friction_and_ripple_may():
+    """A speed of 1 + 0.1 cos 3 angle: friction in order 3; ripple of order 8 in 5 and 11."""
+    taken = np.repeat(durations(9 * (1 + 0.1 * np.cos(3 * ANGLE))), 2, axis=0)
+    wave = np.cos(8 * (np.arange(CELLS) + 0.5) * 2 * np.pi / CELLS)
+    own = LoopRipple(np.tile(2e-3 * wave, (2, 1)), FINE, taken, np.zeros(ORDERS), 1e-3)
+    found = uneven_orders(own, ORDERS)
+    mean = np.sqrt(1 - 0.1**2)  # of the speed over time
+    assert found[2] == pytest.approx(1e-3 * 0.1 / mean, rel=2e-3)
+    for order in (5, 11):
+        assert found[order - 1] == pytest.approx(1e-3 * 0.1 / mean / np.sqrt(3), rel=2e-3)
