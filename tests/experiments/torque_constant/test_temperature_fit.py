@@ -653,7 +653,7 @@ def test_a_staircase_that_was_broken_off_counts_as_far_as_it_went():
     assert_allclose(other.zero, one.zero, atol=3e-5)
     assert other.dof < one.dof
     assert_allclose(other.hysteresis, one.hysteresis, rtol=0.02)
-    assert_allclose(other.heating, one.heating, rtol=0.2)
+    assert_allclose(other.heating, one.heating, rtol=0.3)  # of one degree of freedom
 
 
 def test_components_add_up_to_the_u_of_the_mean_where_the_slope_has_no_part():
