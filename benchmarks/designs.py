@@ -43,6 +43,7 @@ from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE
 from rigtool.experiments.torque_constant.staircases.model import HEATING_TIME
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
+from rigtool.rigs.motion import Triangle
 from rigtool.rigs.virtual.maps import rotor_map
 
 Compared = Iterator[tuple[str, Quantity, float]]
@@ -196,10 +197,28 @@ def true_plant(recipe: Recipe) -> dict[str, float]:
     return {
         "inertia": near_side + behind,
         "inertia_motor_side": near_side,
-        "viscous_friction": motor.viscous_friction + tool.viscous_friction,
+        "viscous_friction": motor.viscous_friction * (1 + _modulation(recipe))
+        + tool.viscous_friction,
         "antiresonance_frequency": antiresonance,
         "resonance_frequency": antiresonance * math.sqrt(1 + behind / near_side),
     }
+
+
+def _modulation(recipe: Recipe) -> float:
+    """Return the mean of the modulation of viscous friction over the angles that strokes cover with
+    whole periods: those in their middle."""
+    assert recipe.virtual is not None
+    (first, *_), settings = excitations(recipe), recipe.identify_plant
+    motion = Triangle.of_output(
+        settings.angle, settings.turn_angle, recipe.rig.angle_ratio, first.speed, 1
+    )
+    straight = motion.stroke_time - 2 * motion.turn_time - settings.settle_time
+    period = period_samples(recipe) * recipe.rig.sample_time
+    reach = first.speed * period * max(1, math.floor(straight / period)) / 2
+    angle = (motion.low + motion.high) / 2 + np.linspace(-reach, reach, 1001)
+    table = rotor_map(recipe.virtual, recipe.virtual.amplifier, 0)[:, 4]
+    turn = np.linspace(0, 2 * np.pi, len(table))
+    return float(np.interp(angle, turn, table, period=2 * np.pi).mean())
 
 
 def growth(recipe: Recipe, plant: PlantModel) -> float:

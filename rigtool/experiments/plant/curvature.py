@@ -64,20 +64,19 @@ def slope_rise(experiments: Sequence[Experiment], lines: LineNumbers, fit: Plant
     torques, squares, sizes = [], [], []
     for experiment in experiments:
         asked, answer = (
-            np.fft.rfft(signal)[:, line].mean(axis=0)
-            for signal in (experiment.input, experiment.output)
+            np.fft.rfft(signal)[:, line] for signal in (experiment.input, experiment.output)
         )
         torques.append(asked - answer / plant)
         swings = _excited(experiment, lines, fit)
         direction = np.sign(experiment.angle[0, -1] - experiment.angle[0, 0])
-        squares.append(direction * np.fft.rfft(swings**2)[:, line])
+        squares.append(direction * np.fft.rfft(swings**2)[..., line])
         sizes.append(float(swings[0].std()))
     torque, bends = np.stack(torques), np.stack(squares)
     window = np.ones(min(NEIGHBOURS, len(line)))
-    power = np.convolve(np.mean(np.abs(torque) ** 2, axis=0), window, "same")
+    power = np.convolve(np.mean(np.abs(torque) ** 2, axis=(0, 1)), window, "same")
     weight = np.convolve(np.ones(len(line)), window, "same") / np.maximum(power, TINY)
-    right = np.einsum("eck,ek,k->ec", bends.conj(), torque, weight).real
-    normal = np.einsum("eck,edk,k->ecd", bends.conj(), bends, weight).real
+    right = np.einsum("ecpk,epk,k->ec", bends.conj(), torque, weight).real
+    normal = np.einsum("ecpk,edpk,k->ecd", bends.conj(), bends, weight).real
     a = np.linalg.solve(normal, right[..., None])[:, 0, 0]
     rises, count = 2 * a * np.array(sizes), len(experiments)
     u = float(rises.std(ddof=1)) / count**0.5
@@ -86,24 +85,24 @@ def slope_rise(experiments: Sequence[Experiment], lines: LineNumbers, fit: Plant
 
 def _excited(experiment: Experiment, lines: LineNumbers, fit: PlantFit) -> Array:
     """Return what the excitation swings, squares of which are friction's: the speed, rad/s, and
-    behind a spring the torque on the second mass over its peak (1 or 2, n)."""
+    behind a spring the torque on the second mass over its peak (1 or 2, periods, n)."""
     speed = excited_speed(experiment, lines, fit.sample_time)
     if fit.model.rigid:
         return speed[None]
-    samples = len(speed)
+    samples = speed.shape[-1]
     s = np.asarray(2j * np.pi * lines / (samples * fit.sample_time), dtype=np.complex128)
-    carried = np.fft.rfft(speed)[lines] / (samples / 2) / s * fit.model.carried(s)
+    carried = np.fft.rfft(speed)[:, lines] / (samples / 2) / s * fit.model.carried(s)
     torque = periodic(lines, carried, samples)
     return np.stack([speed, torque / np.abs(torque).max()])
 
 
 def excited_speed(experiment: Experiment, lines: LineNumbers, sample_time: float) -> Array:
-    """Return the excited speed over the first period (n,), rad/s."""
+    """Return the excited speed (periods, n), rad/s."""
     samples = experiment.reference.shape[-1]
     reference, output = (
         np.fft.rfft(signal)[:, lines] for signal in (experiment.reference, experiment.output)
     )
-    answer = reference[0] * np.sum(output * reference.conj(), axis=0)
+    answer = reference * np.sum(output * reference.conj(), axis=0)
     answer /= np.sum(np.abs(reference) ** 2, axis=0)
     omega = 2 * np.pi * lines / (samples * sample_time)
     return periodic(lines, 1j * omega * answer / (samples / 2), samples)

@@ -40,12 +40,14 @@ def random_phases(lines: LineNumbers, samples: int, rng: np.random.Generator) ->
 
 
 def periodic(lines: LineNumbers, amplitude: ComplexArray, samples: int) -> Array:
-    """Return one period (samples,) of the real part of sum A_k exp(2 pi i k n/samples).
+    """Return one period (..., samples) of the real part of sum A_k exp(2 pi i k n/samples).
+
+    Amplitudes A are (..., k).
 
     Raises ValueError for lines at or above half of the sampling rate.
     """
     if lines.max() >= samples / 2:
         raise ValueError(f"line {lines.max()} of a period of {samples} samples lies above half")
-    spectrum = np.zeros(samples // 2 + 1, dtype=np.complex128)
-    spectrum[lines] = amplitude * (samples / 2)
+    spectrum = np.zeros((*amplitude.shape[:-1], samples // 2 + 1), dtype=np.complex128)
+    spectrum[..., lines] = amplitude * (samples / 2)
     return np.fft.irfft(spectrum, samples)

@@ -184,16 +184,19 @@ def _experiments(recording: Recording, recipe: Recipe, torque_constant: float) -
 def _period_starts(steps: Array, step: float, settle: int, period: int) -> list[int]:
     """Return the starts of whole periods in each stretch of constant steps, after `settle` samples.
 
-    Periods end with the steps of the stretch, as its last sample has no step. A step that the
-    corner of the motion falls into is not constant: what `settle` leaves out may be shorter by
-    these two.
+    They lie in its middle as far as `settle` allows: strokes of both directions then cover the same
+    angles, over which friction that differs along the stroke acts as springs of opposite sign.
+    A step that the corner of the motion falls into is not constant: what `settle` leaves out may be
+    shorter by these two.
     """
     constant = np.abs(steps - step) < 1e-4 * abs(step)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], constant, [False]]).astype(np.int8)))
     starts: list[int] = []
     for first, stop in edges.reshape(-1, 2):
         count = (stop - first - settle + EDGE_STEPS) // period
-        starts += [int(stop) - k * period for k in range(count, 0, -1)]
+        free = stop - first - count * period
+        last = stop - max(0, min(free // 2, free - settle))
+        starts += [int(last) - k * period for k in range(count, 0, -1)]
     return starts
 
 

@@ -3,8 +3,9 @@
 While the shaft moves without stopping, Coulomb friction is a constant and the plant is linear. The
 bare pulley turns freely: the periods of an experiment cover whole turns, and begin at as many
 equally spaced angles, so that ripple of any order that is not a multiple of their number drops out.
-The instrument has a limited angle: it moves to and fro, and each cycle of strokes has the reversed
-excitation of the cycle before, so that any function of the position drops out.
+The instrument has a limited angle: it moves to and fro, and of each pair of cycles the second has
+the reversed excitation of the first, so that any function of the position drops out. Each pair has
+phases of its own, so that what is left of it averages.
 """
 
 from __future__ import annotations
@@ -80,29 +81,34 @@ def excitations(recipe: Recipe) -> list[Excitation]:
 
 
 def tasks(recipe: Recipe, excitation: Excitation) -> Iterator[Task]:
-    """Return the tasks of an excitation: both directions."""
+    """Return the tasks of an excitation: each direction, or each pair of cycles of strokes."""
     if recipe.rig.attachment == "pulley":
         settings = recipe.identify_plant
         periods = settings.periods * period_samples(recipe) * recipe.rig.sample_time
         duration = settings.settle_time + periods
         times = (0.0, RUN_UP, RUN_UP + duration, 2 * RUN_UP + duration)
-        for sign in (1.0, -1.0):
+        for number, sign in enumerate((1.0, -1.0)):
             speeds = (0.0, sign * excitation.speed, sign * excitation.speed, 0.0)
-            signal = multisine(recipe, excitation, sign)
+            signal = multisine(recipe, excitation, number)
             yield Task(SpeedProfile(times, speeds), Feedforward(signal=signal))
         return
-    period = multisine(recipe, excitation)
     motion = _triangle(recipe, excitation.speed)
-    strokes = round(motion.stroke_time / (len(period) * recipe.rig.sample_time))
-    cycle = np.tile(period, 2 * strokes)
-    yield Task(motion, Feedforward(signal=np.concatenate([cycle, -cycle])))
+    strokes = round(motion.stroke_time / (period_samples(recipe) * recipe.rig.sample_time))
+    pair = replace(motion, cycles=2)
+    for number in range(0, motion.cycles, 2):
+        there, back = (
+            np.tile(multisine(recipe, excitation, number + way), strokes) for way in (0, 1)
+        )
+        signal = np.concatenate([there, back, -there, -back])
+        yield Task(pair, Feedforward(signal=signal))
 
 
-def multisine(recipe: Recipe, excitation: Excitation, sign: float = 1.0) -> Array:
+def multisine(recipe: Recipe, excitation: Excitation, number: int = 0) -> Array:
     """Return a period of the torque, N m, that swings the shaft's speed at all lines alike.
 
-    Each direction, `sign`, has phases of its own: what a function of the position leaves in the
-    response is then independent, too, and shows as scatter between the experiments.
+    `number` is that of the phases within the excitation. A function of the position turns each
+    line onto the others by these phases: what it leaves in the response is then independent, too,
+    and shows as scatter between the experiments.
     Its level is the largest that neither stops the shaft nor exceeds the share of the current
     limit, by the response of the loop with the nominal inertia.
     """
@@ -110,7 +116,7 @@ def multisine(recipe: Recipe, excitation: Excitation, sign: float = 1.0) -> Arra
     lines, count = excited_lines(recipe), period_samples(recipe)
     loop = position_loop(**rig.loop_design)
     frequency = lines / (count * rig.sample_time)
-    seed = [excitation.number] if sign > 0 else [excitation.number, 1]
+    seed = [excitation.number, number] if number else [excitation.number]
     speed = random_phases(lines, count, np.random.default_rng(seed))
     torque = speed / (2j * np.pi * frequency * loop.process_sensitivity.response(frequency))
     asked = torque * loop.sensitivity.response(frequency)

@@ -48,9 +48,20 @@ def test_each_speed_has_sets_of_phases_of_its_own():
     assert [each.number for each in found] == [0, 1, 2, 3, 4, 5]
     assert found[0].speed == found[2].speed < found[3].speed
     own = recipe()
-    signals = [multisine(own, Excitation(10.0, n), sign) for n in (0, 1) for sign in (1.0, -1.0)]
+    signals = [multisine(own, Excitation(10.0, n), number) for n in (0, 1) for number in (0, 1)]
     alike = np.corrcoef(signals) - np.eye(4)
     assert np.abs(alike).max() < 0.7
+
+
+def test_strokes_of_each_direction_and_pair_of_cycles_have_phases_of_their_own():
+    own = recipe(attachment="instrument")
+    found = [task for plan in excitations(own) for task in tasks(own, plan)]
+    strokes = np.stack([task.feedforward.signal.reshape(4, -1) for task in found])
+    assert {task.motion.cycles for task in found} == {2}
+    assert strokes.shape[2] == round(found[0].motion.stroke_time / own.rig.sample_time)
+    np.testing.assert_array_equal(strokes[:, 2:], -strokes[:, :2])
+    alike = np.corrcoef(strokes[:, :2].reshape(-1, strokes.shape[2])) - np.eye(2 * len(found))
+    assert np.abs(alike).max() < 0.8
 
 
 @pytest.mark.parametrize("share", [0.5, 1e-3])
@@ -102,8 +113,8 @@ def test_a_stroke_lasts_whole_periods_and_holds_them_all(wished, settle):
     speeds, settling = f"stroke_speeds=[{wished}]", f"settle_time={settle}"
     own = recipe(speeds, settling, "realisations=1", attachment="instrument")
     (found,) = excitations(own)
-    (task,) = tasks(own, found)
-    motion, settings = task.motion, own.identify_plant
+    pairs = list(tasks(own, found))
+    motion, settings = pairs[0].motion, own.identify_plant
     periods = motion.stroke_time / 0.25
     assert periods == pytest.approx(round(periods), rel=1e-9)
     span = math.radians(settings.angle) * own.rig.angle_ratio
@@ -116,9 +127,10 @@ def test_a_stroke_lasts_whole_periods_and_holds_them_all(wished, settle):
     assert round(periods) == round(asked)
     straight = (span - 2 * turn) / found.speed - settings.settle_time
     each = math.floor(straight / 0.25)
-    assert motion.cycles % 2 == 0
-    assert each * motion.cycles >= settings.periods > each * (motion.cycles - 2)
-    signal, count = task.feedforward.signal, period_samples(own)
+    assert motion.cycles == 2
+    cycles = 2 * len(pairs)
+    assert each * cycles >= settings.periods > each * (cycles - 2)
+    signal, count = pairs[0].feedforward.signal, period_samples(own)
     assert len(signal) == 4 * round(periods) * count  # a cycle, and one the other way
     np.testing.assert_array_equal(signal[: len(signal) // 2], -signal[len(signal) // 2 :])
     np.testing.assert_array_equal(signal[:count], signal[count : 2 * count])
