@@ -82,7 +82,7 @@ class SignalWatch:
     """Watches samples without a gap; they are added as they come.
 
     Where the rig's own loop moves it, it is `commanded`: nothing else drives it all the time. The
-    loop's smallest `gain`, N m/rad, tells how far a set point can leave a rotor at rest; none does
+    loop's smallest `gain`, N m/rad, bounds how far a set point can leave a rotor at rest; none does
     where it is zero.
     """
 
