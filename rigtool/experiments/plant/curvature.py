@@ -56,18 +56,23 @@ class SlopeRise:
         return self.value if above < SHOWN else 0.0
 
 
-def slope_rise(experiments: Sequence[Experiment], lines: LineNumbers, fit: PlantFit) -> SlopeRise:
-    """Return the rise of friction's slope; `lines` of a period are excited."""
+def slope_rise(
+    experiments: Sequence[Experiment], speeds: Sequence[Array], lines: LineNumbers, fit: PlantFit
+) -> SlopeRise:
+    """Return the rise of friction's slope; `lines` of a period are excited.
+
+    `speeds` (periods, n) are the `excited_speed` of each experiment.
+    """
     samples = experiments[0].reference.shape[-1]
     line = np.arange(1, int(lines[-1]) + 1)
     plant = fit.response(line / (samples * fit.sample_time))
     torques, squares, sizes = [], [], []
-    for experiment in experiments:
+    for experiment, speed in zip(experiments, speeds, strict=True):
         asked, answer = (
             np.fft.rfft(signal)[:, line] for signal in (experiment.input, experiment.output)
         )
         torques.append(asked - answer / plant)
-        swings = _excited(experiment, lines, fit)
+        swings = _excited(speed, lines, fit)
         direction = np.sign(experiment.angle[0, -1] - experiment.angle[0, 0])
         squares.append(direction * np.fft.rfft(swings**2)[..., line])
         sizes.append(float(swings[0].std()))
@@ -83,10 +88,9 @@ def slope_rise(experiments: Sequence[Experiment], lines: LineNumbers, fit: Plant
     return SlopeRise(float(rises.mean()), u, count)
 
 
-def _excited(experiment: Experiment, lines: LineNumbers, fit: PlantFit) -> Array:
+def _excited(speed: Array, lines: LineNumbers, fit: PlantFit) -> Array:
     """Return what the excitation swings, squares of which are friction's: the speed, rad/s, and
     behind a spring the torque on the second mass over its peak (1 or 2, periods, n)."""
-    speed = excited_speed(experiment, lines, fit.sample_time)
     if fit.model.rigid:
         return speed[None]
     samples = speed.shape[-1]

@@ -99,18 +99,17 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run | None = None) -> Ou
     lines, sample_time = excited_lines(recipe), recipe.rig.sample_time
     experiments: list[Experiment] = []
     constants: list[Quantity | None] = []
-    speeds: list[float] = []
+    speeds: list[Array] = []
+    swing = 0.0
     for recording in found:
         constant = _torque_constant(recording, kt)
         scale = recipe.rig.torque_constant if constant is None else constant.value
-        own = _experiments(recording, recipe, scale)
-        speeds += [recording.condition("speed")] * len(own)
-        experiments += own
+        for experiment in _experiments(recording, recipe, scale):
+            speed = excited_speed(experiment, lines, sample_time)
+            swing = max(swing, float(np.abs(speed).max()) / recording.condition("speed"))
+            experiments.append(experiment)
+            speeds.append(speed)
         constants.append(constant)
-    swing = max(
-        float(np.abs(excited_speed(experiment, lines, sample_time)).max()) / speed
-        for experiment, speed in zip(experiments, speeds, strict=True)
-    )
     count = 2 * math.pi / recipe.rig.encoder_counts
     response = frequency_response(experiments, lines, sample_time, count)
     free = recipe.rig.attachment == "pulley"
@@ -119,7 +118,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run | None = None) -> Ou
         experiments = without_angle_torque(experiments, lines, fit)
         response = frequency_response(experiments, lines, sample_time, count)
         fit = fit_plant(response, sample_time, recipe.rig.nominal_inertia)
-    rise = slope_rise(experiments, lines, fit)
+    rise = slope_rise(experiments, speeds, lines, fit)
     return plant_outcome(IdentifiedPlant(response, fit, constants[0], swing, rise), recipe)
 
 

@@ -54,6 +54,11 @@ def experiment(direction, seed, friction, *, turned=False, noise=2e-6):
     return made, signs[0] * speed
 
 
+def rise_of(experiments, fit=FIT):
+    speeds = [excited_speed(one, LINES, SAMPLE_TIME) for one in experiments]
+    return slope_rise(experiments, speeds, LINES, fit)
+
+
 def experiments(friction, **how):
     return [experiment(1 - 2 * (n % 2), n, friction, **how)[0] for n in range(8)]
 
@@ -61,7 +66,7 @@ def experiments(friction, **how):
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("bend", [4e-6, -4e-6])
 def test_the_rise_of_the_slope_is_that_of_friction(bend, turned):
-    found = slope_rise(experiments(lambda v: bend * (v - 4) ** 2, turned=turned), LINES, FIT)
+    found = rise_of(experiments(lambda v: bend * (v - 4) ** 2, turned=turned))
     assert found.value == pytest.approx(2 * bend * 1.3, abs=3 * found.u)
     assert found.u < 0.1 * abs(found.value)
     assert found.count == 8
@@ -70,13 +75,11 @@ def test_the_rise_of_the_slope_is_that_of_friction(bend, turned):
 
 def test_friction_that_does_not_bend_shows_no_rise():
     shown = [
-        slope_rise(
+        rise_of(
             [
                 experiment(1 - 2 * (n % 2), 100 * trial + n, lambda v: 2e-3 + 3e-5 * v)[0]
                 for n in range(6)
-            ],
-            LINES,
-            FIT,
+            ]
         ).shown
         for trial in range(40)
     ]
@@ -85,7 +88,7 @@ def test_friction_that_does_not_bend_shows_no_rise():
 
 
 def test_the_stribeck_effect_at_the_slow_end_is_seen():
-    found = slope_rise(experiments(lambda v: 1e-3 * np.exp(-((v / 1.5) ** 2))), LINES, FIT)
+    found = rise_of(experiments(lambda v: 1e-3 * np.exp(-((v / 1.5) ** 2))))
     assert found.shown > 5 * found.u
 
 
@@ -107,7 +110,7 @@ def with_a_second_mass(seed, growth):
 
 def test_friction_that_grows_with_the_torque_on_a_second_mass_is_no_bend():
     rises = [
-        slope_rise([with_a_second_mass(10 * trial + n, 0.15) for n in range(6)], LINES, TWO_MASSES)
+        rise_of([with_a_second_mass(10 * trial + n, 0.15) for n in range(6)], TWO_MASSES)
         for trial in range(20)
     ]
     # one-sided 5 % of 20: at most four by the binomial law, p = 0.003
@@ -143,5 +146,5 @@ def test_periods_may_have_phases_of_their_own():
                 )
             )
         )
-    found = slope_rise(several, LINES, FIT)
+    found = rise_of(several)
     assert found.value == pytest.approx(2 * 4e-6 * 1.3, rel=0.05)
