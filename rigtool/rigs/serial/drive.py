@@ -12,6 +12,10 @@ from rigtool.recipe.serial import Limits
 
 Mode = Literal["position", "velocity", "current"]
 
+TURN = 2 * math.pi
+RPM = TURN / 60
+"""rad in a turn, and rad/s in one turn a minute."""
+
 
 @dataclass(frozen=True)
 class Abilities:
@@ -68,8 +72,8 @@ def unwrapped(angle: float, speed: float, moment: float, then: Sample) -> tuple[
     Speeds in rad/s, times in s; the way since then is in rad.
     """
     moved = (then.speed + speed) / 2 * (moment - then.time)
-    turns = round((then.position + moved - angle) / (2 * math.pi))
-    return angle + 2 * math.pi * turns, moved
+    turns = round((then.position + moved - angle) / TURN)
+    return angle + TURN * turns, moved
 
 
 def persist(

@@ -25,8 +25,8 @@ from rigtool.rigs.serial.cia402.network import (
     spread,
 )
 from rigtool.rigs.serial.cia402.objects import Entry, find
-from rigtool.rigs.serial.cia402.states import DISABLE, ENABLE, FAULT, RPM, StateDrive, identity
-from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint
+from rigtool.rigs.serial.cia402.states import DISABLE, ENABLE, FAULT, StateDrive, identity
+from rigtool.rigs.serial.drive import RPM, Abilities, Mode, Sample, SetPoint
 from rigtool.rigs.serial.line import LineLost, LineTimeout, RequestRefused
 
 DEVICE_PROFILE = 402

@@ -11,13 +11,10 @@ from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe.serial import Limits
 from rigtool.rigs.serial.cia402 import objects as od
 from rigtool.rigs.serial.cia402.objects import Entry, Objects, find
-from rigtool.rigs.serial.drive import Mode, persist
+from rigtool.rigs.serial.drive import RPM, TURN, Mode, persist
 from rigtool.rigs.serial.line import Line, LineLost
 
 Place = TypeVar("Place")
-
-RPM = 2 * math.pi / 60
-"""rad/s in one turn a minute."""
 
 RESTORE_ATTEMPTS = 3
 
@@ -33,7 +30,7 @@ READY, SWITCHED_ON, ENABLED = 0x21, 0x23, 0x27
 OPERATING, FAULT = 0x04, 0x08
 """States in a status word, and two of its bits."""
 
-SPEED_UNITS = {0xB44700: RPM, 0xB40300: 2 * math.pi, 0x100300: 1.0}
+SPEED_UNITS = {0xB44700: RPM, 0xB40300: TURN, 0x100300: 1.0}
 """rad/s in a unit of 60A9, less its power of ten: turns a minute, turns a second, rad/s."""
 
 

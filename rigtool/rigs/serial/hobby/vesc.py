@@ -18,12 +18,9 @@ from typing import NamedTuple
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe import Recipe
 from rigtool.recipe.serial import Limits
-from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint, persist, unwrapped
+from rigtool.rigs.serial.drive import RPM, Abilities, Mode, Sample, SetPoint, persist, unwrapped
 from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import DamagedReply, Line, LineLost
-
-TURN = 2 * math.pi
-RPM = TURN / 60
 
 FIRMWARE, SET_CURRENT, SET_LIMITS, VALUES, LIMITS = 0, 6, 48, 50, 91
 VALUE_MASK = sum(1 << bit for bit in (1, 5, 7, 15, 16, 21))

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 from rigtool.errors import HardwareError
 from rigtool.recipe.serial import Limits
-from rigtool.rigs.serial.cia402.states import RPM
-from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint, unwrapped
+from rigtool.rigs.serial.drive import RPM, Abilities, Mode, Sample, SetPoint, unwrapped
 from rigtool.rigs.serial.maxon.drive import NO_WATCHDOG, MaxonDrive
 from rigtool.rigs.serial.maxon.frames import LockStepFrames
 

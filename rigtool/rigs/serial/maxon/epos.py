@@ -9,8 +9,8 @@ from rigtool.errors import HardwareError
 from rigtool.recipe.serial import Limits
 from rigtool.rigs.serial.cia402 import objects as od
 from rigtool.rigs.serial.cia402.objects import Entry, find
-from rigtool.rigs.serial.cia402.states import RPM, StateDrive, identity
-from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint
+from rigtool.rigs.serial.cia402.states import StateDrive, identity
+from rigtool.rigs.serial.drive import RPM, Abilities, Mode, Sample, SetPoint
 from rigtool.rigs.serial.maxon import objects as epos
 from rigtool.rigs.serial.maxon.drive import NO_WATCHDOG, MaxonDrive
 from rigtool.rigs.serial.maxon.frames import LockStepFrames

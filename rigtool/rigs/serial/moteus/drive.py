@@ -14,12 +14,10 @@ from dataclasses import dataclass
 
 from rigtool.errors import HardwareError
 from rigtool.recipe.serial import Limits
-from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint, persist
+from rigtool.rigs.serial.drive import TURN, Abilities, Mode, Sample, SetPoint, persist
 from rigtool.rigs.serial.moteus import frames
 from rigtool.rigs.serial.moteus import registers as reg
 from rigtool.rigs.serial.moteus.link import Link
-
-TURN = 2 * math.pi
 
 STATE = (
     frames.read(reg.MODE, 5)

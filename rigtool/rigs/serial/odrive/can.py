@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe import Recipe
 from rigtool.recipe.serial import Limits
-from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint
+from rigtool.rigs.serial.drive import TURN, Abilities, Mode, Sample, SetPoint
 from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import DamagedReply, Line, LineLost, LineTimeout
 from rigtool.rigs.serial.odrive.driver import (
@@ -24,7 +24,6 @@ from rigtool.rigs.serial.odrive.driver import (
     PASSTHROUGH,
     STATE_ATTEMPTS,
     TEMPERATURE_EVERY,
-    TURN,
 )
 from rigtool.rigs.serial.odrive.text import DIALECT_05, DIALECT_06, Dialect, describe_errors
 from rigtool.rigs.serial.transport.can_frames import CanFrame, encode

@@ -18,7 +18,7 @@ from operator import itemgetter
 from rigtool.errors import HardwareError
 from rigtool.recipe import Recipe
 from rigtool.recipe.serial import Limits
-from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint, persist
+from rigtool.rigs.serial.drive import TURN, Abilities, Mode, Sample, SetPoint, persist
 from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.hosted.loop import MAX_CORRECTION
 from rigtool.rigs.serial.line import DamagedReply, Line
@@ -33,8 +33,6 @@ from rigtool.rigs.serial.odrive.text import (
     identify,
     number,
 )
-
-TURN = 2 * math.pi
 
 IDLE, CLOSED_LOOP = 1, 8
 CONTROL_MODES: dict[Mode, int] = {"current": 1, "velocity": 2, "position": 3}
