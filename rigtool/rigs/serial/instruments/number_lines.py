@@ -22,7 +22,6 @@ LISTENING_TIME = 0.6
 """Time in which a logger is expected to send something, s."""
 
 _LINE = re.compile(r"(\S+?)(?:\s*([A-Za-z°]+))?", re.ASCII)
-_SI = {"force": "N", "temperature": "C", "deflection": "m"}
 
 
 def parse(line: bytes, channel: str, form: readings.Form) -> readings.Reading:
@@ -38,18 +37,13 @@ def parse(line: bytes, channel: str, form: readings.Form) -> readings.Reading:
         raise DamagedReply(f"{text!r} is not a number")
     value, unit = readings.number(found.group(1)), found.group(2) or ""
     form.require_unit(found.group(1), unit)  # loggers leave zeros out
-    return readings.Reading(readings.to_si(value, unit or _SI[channel], channel))
+    return readings.Reading(readings.to_si(value, unit or readings.BARE_UNITS[channel], channel))
 
 
 class NumberLines(readings.Reader):
     """Listens."""
 
     streams = True
-
-    @property
-    def finest(self) -> float:
-        """A step of the last decimal in the unit of the channel, by the first readings."""
-        return self._form.finest(self._channel, _SI[self._channel])
 
     def connect(self) -> str:
         """Wait for the first whole number; raises `HardwareError` where none comes."""

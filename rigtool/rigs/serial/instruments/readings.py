@@ -37,6 +37,9 @@ TEMPERATURES = {
 }
 """Factor and offset to degC."""
 
+BARE_UNITS = {"force": "N", "temperature": "C", "deflection": "m"}
+"""Units of readings that name none, where the instrument does not state another."""
+
 NUMBER = re.compile(r"[+-]?[0-9]{1,12}(\.[0-9]{0,12})?([eE][+-]?[0-9]{1,3})?")
 MAX_LINE = 80
 """Characters in a line of an instrument, at most."""
@@ -97,7 +100,12 @@ class Reader(ABC):
     @property
     def finest(self) -> float:
         """The same where decimals vary, by the first readings; else 0."""
-        return 0.0
+        return self._form.finest(self._channel, self._bare_unit)
+
+    @property
+    def _bare_unit(self) -> str:
+        """Unit of readings without one."""
+        return BARE_UNITS[self._channel]
 
     @abstractmethod
     def connect(self) -> str:

@@ -70,10 +70,8 @@ class Scpi(readings.Polled):
     _unit = "C"
 
     @property
-    def finest(self) -> float:
-        """A step of the last decimal in the unit of the channel, by the first readings."""
-        units = {"temperature": self._unit, "force": "N", "deflection": "m"}
-        return self._form.finest(self._channel, units[self._channel])
+    def _bare_unit(self) -> str:
+        return self._unit if self._channel == "temperature" else super()._bare_unit
 
     def connect(self) -> str:
         """Return the identity of the instrument, or the request that it answers.
