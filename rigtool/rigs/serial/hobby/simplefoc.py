@@ -21,7 +21,7 @@ from rigtool.recipe.serial import Limits
 from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint, persist
 from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout
-from rigtool.rigs.serial.maxon.guard import Guard, make_guard
+from rigtool.rigs.serial.maxon.guard import UNWATCHED, Guard, make_guard
 
 BAUD_RATE = 115200
 DECIMALS = 4
@@ -31,8 +31,7 @@ MOTIONS = ("torque", "vel", "angle", "vel open", "angle open", "angle nocascade"
 """Names of the motion controls, in the order of their numbers."""
 
 MISSING_ABILITIES = (
-    "has no watchdog: if the computer or the cable fails, it follows its last set point until you "
-    "stop it. If rigtool is killed or hangs, another process switches it off",
+    f"has no watchdog: {UNWATCHED}",
     "has no limit of speed while it follows currents",
     "has no limit of position",
 )

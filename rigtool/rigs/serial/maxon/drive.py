@@ -8,14 +8,11 @@ from collections.abc import Callable
 from rigtool.errors import HardwareError
 from rigtool.rigs.serial.cia402.states import Place, RestoredDrive
 from rigtool.rigs.serial.drive import Mode, Sample, SetPoint
-from rigtool.rigs.serial.maxon.guard import Guard
+from rigtool.rigs.serial.maxon.guard import UNWATCHED, Guard
 
 SAMPLE_ATTEMPTS = 5
 
-NO_WATCHDOG = (
-    "has no watchdog on this line: if the computer or the cable fails, it follows its last "
-    "set point until you stop it. If rigtool is killed or hangs, another process switches it off"
-)
+NO_WATCHDOG = f"has no watchdog on this line: {UNWATCHED}"
 
 
 class MaxonDrive(RestoredDrive[Place]):

@@ -18,6 +18,12 @@ from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe.serial import Serial
 from rigtool.rigs.serial.line import Line
 
+UNWATCHED = (
+    "if the computer or the cable fails, it follows its last set point until you stop it. If "
+    "rigtool is killed or hangs, another process switches it off"
+)
+"""What a drive without watchdog does, for the operator."""
+
 ON, OFF = b"1", b"0"
 READY_BYTE = b"r"
 
