@@ -44,17 +44,6 @@ UPLOAD_ATTEMPTS = 3
 MAX_OVERTIME = 60.0
 """Time that a motion may take beyond its duration, for the approach, s."""
 
-_NEEDED = {
-    "open_loop": Ability.OPEN_LOOP,
-    "feedforward": Ability.FEEDFORWARD,
-    "table": Ability.TABLE,
-    "signal": Ability.SIGNAL,
-    "load": Ability.LOAD,
-    "clamp": Ability.CLAMP,
-    "soak": Ability.SOAK,
-    "power_cycle": Ability.POWER_CYCLE,
-}
-
 
 def probe(line: Line) -> str | None:
     """Return the identity of the target that answers, None where something else does.
@@ -152,7 +141,7 @@ class TargetRig(SerialRig):
                 f": add [serial.{need}]" if need in ("force", "temperature", "deflection") else ""
             )
             return f"the target does not record its {need}{more}"
-        ability = _NEEDED.get(need)
+        ability = Ability.__members__.get(need.upper())
         if ability is None or ability in self._hello.abilities:
             return None
         return "the target does not offer it"
