@@ -13,7 +13,7 @@ from rigtool.experiments.force_model.stored import model_from
 from rigtool.experiments.force_sensor.procedure_calibration import require_calibration, with_zero_of
 from rigtool.experiments.force_sensor.procedure_over_time import reach_of
 from rigtool.experiments.force_sensor.procedure_reading import instrument_of
-from rigtool.experiments.learning.stored_table import origin_of
+from rigtool.experiments.learning.stored_table import origin_of, recipe_of
 from rigtool.recipe import Recipe
 from rigtool.runfile import Run
 
@@ -26,12 +26,7 @@ def sensor(tables: Run, kt: Run | None) -> tuple[str, tuple[str, ...], list[Path
     a calibration, `RunFileError` for tables without the force model, a calibration of another rig,
     and what no sensor can be made of.
     """
-    tables.require_command("ilc-learn")
-    recipe = tables.recipe
-    if recipe is None:
-        raise RunFileError(
-            f"{tables.path}: does not state on which rig it was learned: learn again"
-        )
+    recipe = recipe_of(tables)
     model = model_from(tables, recipe)
     if kt is None:
         raise UsageError(

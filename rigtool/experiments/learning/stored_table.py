@@ -219,18 +219,23 @@ def require_same_rig(tables: Run, recipe: Recipe) -> None:
     _require_reach(tables, recipe)
 
 
+def recipe_of(tables: Run) -> Recipe:
+    """Return the recipe that tables were learned with; `RunFileError` for another run."""
+    tables.require_command("ilc-learn")
+    if tables.recipe is None:
+        raise RunFileError(
+            f"{tables.path}: does not state on which rig it was learned: learn again"
+        )
+    return tables.recipe
+
+
 def require_rig(tables: Run, recipe: Recipe) -> None:
     """Raise `RunFileError` unless the tables were learned on the recipe's rig, as it is now.
 
     Compared are the rig's name, attachment, encoder, ratio, torque factor and inertia: models and
     tables are in terms of them.
     """
-    tables.require_command("ilc-learn")
-    learned = tables.recipe
-    if learned is None:
-        raise RunFileError(
-            f"{tables.path}: does not state on which rig it was learned: learn again"
-        )
+    learned = recipe_of(tables)
     for what, there, here in (
         ("rig", learned.rig.name, recipe.rig.name),
         ("attachment", learned.rig.attachment, recipe.rig.attachment),
