@@ -96,21 +96,26 @@ def command(
             "--stream and --json both write to stdout: leave --json out, and read the run file"
         )
     if seconds is not None:
-        if record is not None and observe is not None:
-            raise click.UsageError("--record moves the rig, --observe does not: give one of them")
-        if correction is not None:
-            raise click.UsageError(
-                f"--correction {correction} is one of known loads: leave it out, force over time "
-                "has all corrections"
-            )
-        if not any(map(is_recipe, sources)):
-            raise click.UsageError(
-                "--record and --observe measure on the rig of a recipe; a stored run is read as it "
-                "is: leave them out"
-            )
+        _require_over_time(sources, correction, both=record is not None and observe is not None)
         procedure = over_time_live(seconds, observed=observe is not None, every=every or 1)
         options = replace(options, stream=stream)
         current_output().stream = stream
     if correction is not None:
         options = options.with_override(f"measure_force.correction={correction}")
     run_and_print(procedure, sources, output, options, kt=kt, tables=tables)
+
+
+def _require_over_time(sources: tuple[str, ...], correction: str | None, *, both: bool) -> None:
+    """Raise `click.UsageError` for options that do not go with a force over time."""
+    if both:
+        raise click.UsageError("--record moves the rig, --observe does not: give one of them")
+    if correction is not None:
+        raise click.UsageError(
+            f"--correction {correction} is one of known loads: leave it out, force over time has "
+            "all corrections"
+        )
+    if not any(map(is_recipe, sources)):
+        raise click.UsageError(
+            "--record and --observe measure on the rig of a recipe; a stored run is read as it "
+            "is: leave them out"
+        )

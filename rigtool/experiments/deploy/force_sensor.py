@@ -62,37 +62,20 @@ def sensor_header(
             f"inertia of the output {plant.grasper_inertia:g} kg m2, asymmetry of the bearings "
             f"{plant.asymmetry:g}: the equations in C need an inertia, and have no asymmetry"
         )
-    steps = {
-        "AVERAGED": grid.averaged,
-        "DIVIDED": grid.divided,
-        "STEP_SAMPLES": grid.step_samples,
-        "STILL_STEPS": _within(motion_states.STILL_TIME, grid.step_time),
-        "UNSEEN_STEPS": instrument.judge(causal=True).unseen,
-        "LIMIT_STEPS": _within(motion_states.LIMIT_TIME, grid.step_time),
-        "SPEED_STEPS": _within(motion_states.SPEED_TIME, grid.step_time) - 1,
-        "IDLE_STEPS": idle_steps(grid.step_time),
-        "RESTED_STEPS": creeping.steps_of(creeping.RESTED_TIME, grid.step_time),
-        "SWUNG_STEPS": creeping.steps_of(creeping.LASTING_TIME, grid.step_time),
-        "BUSY_STEPS": _lasting(model.uncertainty.busy_time, grid.step_time),
-        "REST_STEPS": int(rests.rest_steps(grid.step_time)),
-        "ROW_STEPS": ripple_rows.row_steps(grid.step_time),
-        **dict(zip(("DRAW_FACTOR", "DRAW_ADDED", "DRAW_MODULUS"), ripple_rows.DRAW, strict=True)),
-        "HELD_STEPS": ripple_rows.held_steps(grid.step_time),
-        "LATE_ROWS": ripple_rows.late_rows(grid.step_time),
-        "SPREAD_STEPS": ripple_rows.SPREAD_STEPS,
-        "ROTOR_CELLS": len(model.drive.rotor_map) - 1,
-        "HOUSING_CELLS": len(plant.friction_map) - 1,
+    numbers = {
+        **_drive(instrument),
+        **_filter(instrument),
+        **_ripple(instrument),
+        **_states(instrument),
+        **_reading(instrument, coverage_factor),
     }
-    numbers = {**_drive(instrument), **_filter(instrument), **_ripple(instrument)}
-    numbers |= _states(instrument)
-    numbers |= _reading(instrument, coverage_factor)
     for name, value in numbers.items():
         if not isinstance(value, str) and not np.isfinite(value).all():
             raise ValueError(f"{name} is {value}")
     rotor_map = model.drive.rotor_map.copy()
     rotor_map[:, VISCOUS] += plant.housing_viscous  # of the same speed
     data = [
-        "".join(f"#define RS_{name} {value}\n" for name, value in steps.items()),
+        "".join(f"#define RS_{name} {value}\n" for name, value in _steps(instrument).items()),
         _struct(numbers),
         _map("rotor_map[RS_ROTOR_CELLS + 1][RS_COLUMNS]", rotor_map),
         _map("housing_map[RS_HOUSING_CELLS + 1]", plant.friction_map),
@@ -100,6 +83,33 @@ def sensor_header(
     template = files("rigtool.experiments.deploy").joinpath("force_sensor.h").read_text("utf-8")
     # The comment comes last: its text is others', and no marker in it counts.
     return template.replace("@DATA@", "\n".join(data), 1).replace("@HEAD@", comment(origin), 1)
+
+
+def _steps(instrument: SensorProperties) -> dict[str, int]:
+    """Return the numbers of samples, steps and cells."""
+    grid, model = instrument.grid, instrument.model
+    step_time = grid.step_time
+    return {
+        "AVERAGED": grid.averaged,
+        "DIVIDED": grid.divided,
+        "STEP_SAMPLES": grid.step_samples,
+        "STILL_STEPS": _within(motion_states.STILL_TIME, step_time),
+        "UNSEEN_STEPS": instrument.judge(causal=True).unseen,
+        "LIMIT_STEPS": _within(motion_states.LIMIT_TIME, step_time),
+        "SPEED_STEPS": _within(motion_states.SPEED_TIME, step_time) - 1,
+        "IDLE_STEPS": idle_steps(step_time),
+        "RESTED_STEPS": creeping.steps_of(creeping.RESTED_TIME, step_time),
+        "SWUNG_STEPS": creeping.steps_of(creeping.LASTING_TIME, step_time),
+        "BUSY_STEPS": _lasting(model.uncertainty.busy_time, step_time),
+        "REST_STEPS": int(rests.rest_steps(step_time)),
+        "ROW_STEPS": ripple_rows.row_steps(step_time),
+        **dict(zip(("DRAW_FACTOR", "DRAW_ADDED", "DRAW_MODULUS"), ripple_rows.DRAW, strict=True)),
+        "HELD_STEPS": ripple_rows.held_steps(step_time),
+        "LATE_ROWS": ripple_rows.late_rows(step_time),
+        "SPREAD_STEPS": ripple_rows.SPREAD_STEPS,
+        "ROTOR_CELLS": len(model.drive.rotor_map) - 1,
+        "HOUSING_CELLS": len(model.plant(grid.sample_time).friction_map) - 1,
+    }
 
 
 def _within(span: float, step_time: float) -> int:

@@ -90,11 +90,7 @@ def _measure(
     require_inputs(procedure, inputs)
     recipe, text = _recipe_of(procedure, source, options)
     on_line = recipe.rig.source == "serial"
-    if options.spy is not None:
-        read: list[str | Path] = [source, *(run.path for run in inputs.values())]
-        spy = require_output(options.spy, overwrite=options.overwrite, inputs=read)
-        if spy == Path(os.path.realpath(output)):
-            raise UsageError(f"--spy {options.spy}: is the output of this run: give another name")
+    _require_spy(options, output, [source, *(run.path for run in inputs.values())])
     seed = recipe.virtual.seed if recipe.virtual is not None and not on_line else None
     kt = inputs.get("kt")
     constant = recipe.rig.torque_constant if kt is None else torque_per_ampere(kt).value
@@ -153,6 +149,15 @@ def _recipe_of(procedure: Procedure, source: str, options: CommonOptions) -> tup
     if options.spy is not None and not on_line:
         raise UsageError(f"--spy {options.spy}: this recipe's rig is virtual, there is no line")
     return recipe, text
+
+
+def _require_spy(options: CommonOptions, output: str, read: Sequence[str | Path]) -> None:
+    """Raise `UsageError` where the file for the bytes on the line cannot be written, or is read or
+    written otherwise."""
+    if options.spy is not None:
+        spy = require_output(options.spy, overwrite=options.overwrite, inputs=read)
+        if spy == Path(os.path.realpath(output)):
+            raise UsageError(f"--spy {options.spy}: is the output of this run: give another name")
 
 
 def _in_small_chunks(plan: Sequence[RecordingSpec], recipe: Recipe) -> tuple[RecordingSpec, ...]:

@@ -129,7 +129,7 @@ def read_numbers(
     columns: Sequence[ColumnKey],
     names: Sequence[str],
     skip_bad: bool,
-    words: Words | None = None,
+    words: Words,
 ) -> Raw:
     """Read columns of lines that hold numbers; `names` are those of all columns, or none.
 
@@ -147,15 +147,7 @@ def read_numbers(
         joined = [FIELD_SEPARATOR.join(fields_of(line, delimiter)) for line in lines.text]
         lines, delimiter = replace(lines, text=joined), FIELD_SEPARATOR
     split = None if delimiter == WHITESPACE else delimiter
-    counts = _field_counts(lines.text, split)
-    most = Counter(counts).most_common(1)[0][0]
-    if most == len(names) + 1 > 1 and split is not None:
-        # Some programs end each line, but not the names, with a delimiter.
-        ended = [line.rstrip(" ").endswith(split) for line in lines.text]
-        counts = [n - end for n, end in zip(counts, ended, strict=True)]
-    usual = len(names) or most
-    if most < usual and split is not None:
-        usual = most  # nothing was written in the last columns
+    counts, usual = _field_counts(lines.text, split, len(names))
     try:
         indices = [_index(path, column, names, usual) for column in columns]
     except RunFileError as error:
@@ -175,7 +167,7 @@ def read_numbers(
         cut = {lines.number[-1]: "the file ends within this line: it may be cut short"}
         lines = lines.before(-1)
     table = _columns(
-        lines, split, marks.decimal, dict(zip(columns, indices, strict=True)), bad, words or {}
+        lines, split, marks.decimal, dict(zip(columns, indices, strict=True)), bad, words
     )
     if not skip_bad:
         require_good(path, "line", bad)
@@ -228,10 +220,24 @@ def _columns(
     }
 
 
-def _field_counts(lines: Sequence[str], delimiter: str | None) -> list[int]:
+def _field_counts(lines: Sequence[str], delimiter: str | None, named: int) -> tuple[list[int], int]:
+    """Return how many fields each line has, and how many all should have; `named` columns have a
+    name."""
     if delimiter is None:
-        return [len(line.split()) for line in lines]
-    return [line.count(delimiter) + 1 for line in lines]
+        counts = [len(line.split()) for line in lines]
+        return counts, named or _most_common(counts)
+    counts = [line.count(delimiter) + 1 for line in lines]
+    most = _most_common(counts)
+    if most == named + 1 > 1:
+        # Some programs end each line, but not the names, with a delimiter.
+        ended = [line.rstrip(" ").endswith(delimiter) for line in lines]
+        counts = [n - end for n, end in zip(counts, ended, strict=True)]
+    # Nothing may be written in the last columns.
+    return counts, min(named or most, most)
+
+
+def _most_common(counts: Sequence[int]) -> int:
+    return Counter(counts).most_common(1)[0][0]
 
 
 def _index(path: Path, column: ColumnKey, names: Sequence[str], count: int) -> int:
