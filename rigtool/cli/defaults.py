@@ -1,10 +1,4 @@
-"""Defaults of commands from `rigtool.toml` in the working folder.
-
-recipe = "rig.toml"      # SOURCE of measuring commands
-kt = "runs/kt.h5"        # --kt; where calibrate-kt writes
-tables = "runs/tables.h5"  # --tables; where ilc-learn writes
-output = "runs"          # folder where other measuring commands write, as COMMAND.h5
-"""
+"""Defaults of commands from `rigtool.toml` in the working folder; `DEFAULT_KEYS` lists its keys."""
 
 from __future__ import annotations
 
