@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from rigtool.experiments.force_filter.accuracy import off_zero
 from rigtool.report.formats import Cell, ReportColumn, ReportTable, mean_cell, number_cell
 from rigtool.report.published import published_accuracy
 from rigtool.runfile import Run
@@ -54,15 +55,14 @@ def instrument_tables(run: Run, label: str) -> list[ReportTable]:
 
 
 def _over_time_table(run: Run, label: str) -> ReportTable:
-    """Return torque and force where the torque is largest, in each section of the time."""
+    """Return torque and force where the torque is surely largest, in each section of the time."""
     force = run.table("force")
     names = [name for name in (*(one.key for one in _OVER_TIME), "u") if name in force.columns]
-    rows = []
-    for section in np.array_split(np.arange(force["torque"].size), TIME_SECTIONS):
-        size = np.nan_to_num(np.abs(force["torque"][section]), nan=-1.0)
-        if not size.size or size.max() < 0:
+    far, rows = off_zero(force["low"], force["high"]), []
+    for section in np.array_split(np.arange(far.size), TIME_SECTIONS):
+        if not np.isfinite(far[section]).any():
             continue
-        row = {name: float(force[name][section[size.argmax()]]) for name in names}
+        row = {name: float(force[name][section[far[section].argmax()]]) for name in names}
         u, force_n = row.get("u", math.nan), row.get("force", math.nan)
         of_torque = _digits(1e3 * u)
         cells = {
@@ -78,7 +78,8 @@ def _over_time_table(run: Run, label: str) -> ReportTable:
         title=f"Torque and force over time, where largest in each section ({label})",
         columns=_OVER_TIME,
         rows=tuple(rows),
-        note="From and to are the ends of the 95 % interval of the torque.",
+        note="From and to are the ends of the 95 % interval of the torque. Each row is where it is "
+        "farthest from zero.",
     )
 
 

@@ -68,3 +68,11 @@ def by_band_and_state(
         [accuracy(error, covered, (band == number) & (states == state)) for state in JUDGED_STATES]
         for number in range(len(LOAD_BAND_EDGES) - 1)
     ]
+
+
+def off_zero(low: Array, high: Array) -> Array:
+    """Return how far the intervals from `low` to `high` are from zero (n,).
+
+    Negative where they hold it, minus infinity where there is no value.
+    """
+    return np.nan_to_num(np.maximum(low, -high), nan=-np.inf)

@@ -127,7 +127,7 @@ def over_time_tables(
     results = _results(whole, known, sum(len(r.time) * r.step_time for r in rows), lost)
     tables = {"force": _table(rows, whole, known, number, corner_hz, load_arm)}
     judged = [row for row in rows if row.reference is not None]
-    if judged:
+    if any(row.reference is not None and np.isfinite(row.reference).any() for row in judged):
         found, tables["force_accuracy"] = _judged(TorqueRows.joined(judged), largest)
         results |= found | _bandwidth([row.response for row in judged if row.response is not None])
     return results, tables

@@ -6,15 +6,19 @@ import itertools
 
 import numpy as np
 
+from rigtool.experiments.force_filter.accuracy import off_zero
 from rigtool.experiments.force_filter.motion_states import STATE_NAMES, State
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.report.figures import style
-from rigtool.report.figures.axes import MILLI, OUTPUT_TORQUE, thin
+from rigtool.report.figures.axes import MILLI, OUTPUT_TORQUE
 from rigtool.report.figures.plots import FIRST_OWN_NUMBER, plot
 from rigtool.runfile import Run, Table
 
 MAX_POINTS = 4000
 """Points of each curve over the whole time."""
+
+GAP_STEPS = 1.5
+"""Time between two rows, in that between points, from which on no curve joins them."""
 
 AROUND_PEAK = 3.0
 """Time drawn before and after the largest torque, s."""
@@ -27,18 +31,17 @@ STATED_COVERAGE = 0.95
 def draw_over_time(run: Run, table: Table) -> style.Figure:
     """Torque and interval over the first recording; below, the error, where it has a reference."""
     time, signals = _first_recording(table)
-    drawn = thin(MAX_POINTS, time, *signals.values())
-    time, signals = drawn[0], dict(zip(signals, drawn[1:], strict=True))
-    return _torque_and_error(time, signals)
+    return _torque_and_error(*_drawn_points(time, signals))
 
 
 @plot(FIRST_OWN_NUMBER + 4, "measure-force", "Torque around its largest value", "force")
 def draw_around_peak(run: Run, table: Table) -> style.Figure:
     """The same within `AROUND_PEAK` of the largest torque."""
     time, signals = _first_recording(table)
-    torque = np.nan_to_num(np.abs(signals["torque"]), nan=-1.0)
-    near: Mask = np.abs(time - time[torque.argmax()]) < AROUND_PEAK
-    return _torque_and_error(time[near], {name: values[near] for name, values in signals.items()})
+    peak = time[off_zero(signals["low"], signals["high"]).argmax()]
+    near: Mask = np.abs(time - peak) < AROUND_PEAK
+    near_signals = {name: values[near] for name, values in signals.items()}
+    return _torque_and_error(*_drawn_points(time[near], near_signals))
 
 
 @plot(
@@ -77,6 +80,22 @@ def _first_recording(table: Table) -> tuple[Array, dict[str, Array]]:
     return time - time[0], {name: MILLI * table[name][rows] for name in names}
 
 
+def _drawn_points(time: Array, signals: dict[str, Array]) -> tuple[Array, dict[str, Array]]:
+    """Return `MAX_POINTS` points at most, and NaN where rows are missing.
+
+    Where there are more rows, each point is that of several whose interval is farthest from zero,
+    so that a short contact shows.
+    """
+    step = -(-time.size // MAX_POINTS)
+    far = off_zero(signals["low"], signals["high"])
+    rows = np.array([k + far[k : k + step].argmax() for k in range(0, time.size, step)], np.intp)
+    steps = np.abs(np.diff(time))
+    gaps = np.flatnonzero(steps > GAP_STEPS * step * np.median(steps)) if steps.size else rows[:0]
+    missing = np.searchsorted(rows, gaps, side="right")
+    points = {n: np.insert(values[rows], missing, np.nan) for n, values in signals.items()}
+    return np.insert(time[rows], missing, time[gaps]), points
+
+
 def _torque_and_error(time: Array, signals: dict[str, Array]) -> style.Figure:
     """Draw torque with its interval; below, its error with the same interval about zero."""
     judged = "reference" in signals and bool(np.isfinite(signals["reference"]).any())
@@ -95,7 +114,8 @@ def _torque_and_error(time: Array, signals: dict[str, Array]) -> style.Figure:
         _band(panels[1], time, signals["low"] - torque, signals["high"] - torque)
         panels[1].plot(time, torque - reference, color=style.BLUE, linewidth=0.8)
     panels[0].plot(time, torque, color=style.BLUE, label="from motor current", linewidth=0.8)
-    panels[0].set_xlim(time[0], time[-1])
+    if time[-1] > time[0]:
+        panels[0].set_xlim(time[0], time[-1])
     style.legend_above(panels[0])
     return figure
 

@@ -222,3 +222,29 @@ def test_the_fall_of_a_contact_is_no_contact():
     rows[60:100] = 5e-3
     (whole,) = events(found, rows, half, EVERY, 5e-3)
     assert whole == Contact(100, 110, 600)
+
+
+def test_what_the_filter_remembers_of_a_contact_is_no_contact():
+    """Its level seems to be one for a second; a few intervals miss zero by chance."""
+    rows, half = np.zeros(400), np.full(400, HALF)
+    rows[20:60], rows[60:140], rows[110:120] = 20e-3, 0.6e-3, 1.3e-3
+    first = Contact(100, 110, 300)
+    remembered = [Contact(300, 340, 700), Contact(450, 560, 700)]
+    for other in remembered:
+        assert events([first, other], rows, half, EVERY, 5e-3) == [first]
+    # the same is one where nothing is remembered, or where twice the interval does not hold zero
+    later = Contact(540, 560, 700)
+    rows[20:60], rows[30:50] = 0.0, 20e-3
+    early = Contact(150, 160, 250)
+    assert events([later], rows, half, EVERY, 5e-3) == [later]
+    rows[110:120] = 2.1e-3
+    found = events([early, remembered[0]], rows, half, EVERY, 5e-3)
+    assert found == [early, Contact(550, 550, 700)]
+
+
+def test_a_touch_that_the_memory_of_another_one_hides_begins_where_it_does():
+    rows, half = np.zeros(400), np.full(400, HALF)
+    rows[20:60], rows[60:110], rows[110:180] = 20e-3, 0.6e-3, 8e-3
+    found = [Contact(100, 110, 300), Contact(300, 380, 900)]
+    own = events(found, rows, half, EVERY, 5e-3)
+    assert own == [found[0], Contact(550, 550, 900)]

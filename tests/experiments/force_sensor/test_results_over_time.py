@@ -112,3 +112,12 @@ def test_the_table_has_the_interval_of_each_row():
     half = (table["high"] - table["low"])[valid] / 2
     np.testing.assert_allclose(half, 1.96 * own.u[valid], rtol=1e-3)
     np.testing.assert_allclose((table["high"] + table["low"])[valid] / 2, own.torque[valid])
+
+
+def test_a_reference_that_is_never_known_judges_nothing():
+    own = rows("a", 0.0, reference=True)
+    never = replace(own, reference=np.full(ROWS, np.nan))
+    results, tables = over_time_tables([never], 5e-3, 30.0)
+    assert set(tables) == {"force"}
+    assert set(results) == {"valid_share", "peak_torque", "mean_torque"}
+    assert "force_accuracy" in over_time_tables([own, never], 5e-3, 30.0)[1]

@@ -8,6 +8,7 @@ import pytest
 from rigtool.recipe import load_recipe
 from rigtool.report import build
 from rigtool.report.figures import PLOTS, style
+from rigtool.report.figures.over_time import MAX_POINTS
 from rigtool.report.tables import force_tables
 from rigtool.runfile import Column, RunWriter, Table, open_run
 
@@ -118,3 +119,58 @@ def test_the_table_shows_the_largest_torque_of_each_section(judged):
     assert shown["torque"] == pytest.approx(np.nanmax(torque), rel=1e-12)
     assert 112 <= shown["time"] <= 113
     assert (shown["torque"] - shown["low"], shown["force"]) == (pytest.approx(2e-3, rel=1e-9), None)
+
+
+def force_table(time, torque, half):
+    columns = {
+        "row": Column(np.arange(len(time)), "1"),
+        "recording": Column(np.zeros(len(time), dtype=int), "1"),
+        "time": Column(time, "s"),
+        "torque": Column(torque, "N m"),
+        "low": Column(torque - half, "N m"),
+        "high": Column(torque + half, "N m"),
+    }
+    return Table(("row",), columns, "torque", "")
+
+
+def test_no_curve_or_band_joins_the_sides_of_a_gap(judged):
+    kept = (TIME < 8) | (TIME > 9)
+    table = force_table(TIME[kept], np.full(kept.sum(), 1e-3), 1e-3)
+    for number in (104, 105):
+        (axes,) = PLOTS[number].function(judged, table).axes
+        time, torque = axes.lines[0].get_data()
+        between = np.flatnonzero(np.diff(time) > 0.5)
+        assert between.size <= 1
+        assert all(np.isnan(torque[k]) or np.isnan(torque[k + 1]) for k in between)
+        assert np.isnan(torque).sum() == (number == 104)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7 * MAX_POINTS + 3])
+def test_a_short_contact_shows_among_any_number_of_rows(judged, count):
+    torque = np.zeros(count)
+    torque[count // 2] = 5e-3
+    half = np.full(count, 1e-3)
+    half[: count // 4] = 20e-3
+    table = force_table(0.005 * np.arange(count), torque, half)
+    (axes,) = PLOTS[104].function(judged, table).axes
+    time, drawn = axes.lines[0].get_data()
+    assert len(time) <= MAX_POINTS
+    assert drawn.max() == pytest.approx(5.0)
+    assert time[drawn.argmax()] == pytest.approx(0.005 * (count // 2), rel=1e-9)
+
+
+def test_a_torque_of_a_wide_interval_is_not_the_largest(tmp_path):
+    torque = np.where((TIME > 12) & (TIME < 13), 2e-3, 0.0)
+    half = np.full(TIME.size, 0.5e-3)
+    wide = np.abs(TIME - 12.5) < 0.1
+    torque[wide], half[wide] = -3e-3, 6e-3
+    recipe, text = load_recipe(ROOT / "recipes" / "briaire-2006.toml", [])
+    path = tmp_path / "f.h5"
+    with RunWriter(path, command="measure-force", recipe=recipe, recipe_text=text) as writer:
+        writer.finish({}, {"force": force_table(TIME, torque, half)})
+    with open_run(path) as run:
+        (table,) = force_tables(run, "f")
+        torques = [row[1].value for row in table.rows]
+        assert (min(torques), max(torques)) == pytest.approx((0.0, 2e-3))
+        left, right = PLOTS[105].draw(run).axes[0].get_xlim()
+        assert (left + right) / 2 == pytest.approx(12.0, abs=0.02)
