@@ -63,6 +63,7 @@ class LiveForce:
 
     def _begin(self, time: float) -> None:
         self._sensor = Sensor(self._instrument, context=False)
+        self._counts = Counts(self._instrument, self._counts.lost)
         self._began, self._steps = time - self._instrument.interval / 2, 0
 
     def __call__(self, block: Mapping[str, Array]) -> dict[str, Array]:

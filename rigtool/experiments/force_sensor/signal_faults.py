@@ -103,7 +103,7 @@ class SignalWatch:
         housing = plant.housing_friction * (1 + abs(plant.housing_asymmetry))
         friction = plant.static + housing * float(np.abs(plant.friction_map).max())
         carried = (1 + 2 * plant.load_friction) * reach.torque / plant.torque_factor
-        self._held = 2 * friction + carried
+        self._held, self._limited = 2 * friction + carried, own.limited
         self._braked = (plant.coulomb + plant.housing_friction) / 2
         self._helped = reach.torque / plant.torque_factor / 2
         self._turn, self._commanded, self._gain = own.count, commanded, gain
@@ -143,7 +143,8 @@ class SignalWatch:
             low, high, least, most, torque, moved, distance = np.hstack(self._windows)
             found += self._opposed(torque, moved * self._turn, float(np.ptp(low)) * self._turn)
             found += self._stopped(low, low == high, torque, distance)
-            found += self._left(torque, distance)
+            limited = self._limited(np.maximum(np.abs(least), np.abs(most)))
+            found += self._left(np.where(limited, np.inf, torque), distance)
             found += self._frozen(low, high, most, least == most)
             found += self._cut(most, least, (least == most) & (low < high))
         return tuple(sorted(found, key=lambda one: one.start))
@@ -230,25 +231,25 @@ class SignalWatch:
         size = round(MEAN_TIME / (self._size * self._interval))
         if len(torque) < size or not self._gain > 0 or not self._commanded:
             return
-        torque, distance = (
-            sliding_window_view(one, size).mean(axis=1) for one in (torque, distance)
-        )
+        mean, answer = (sliding_window_view(one, size).mean(axis=1) for one in (distance, torque))
         if math.isnan(self._origin):
-            self._origin = float(distance[0])
-        off = np.abs(distance - self._origin)
-        answer = np.abs(torque) + 2 * self._braked
-        (at,) = np.nonzero(off > answer / self._gain + UNEXPLAINED_MEAN)
+            self._origin = float(mean[0])
+        off, each = np.abs(mean - self._origin), np.abs(distance - self._origin)
+        most = (np.abs(answer) + 2 * self._braked) / self._gain + UNEXPLAINED_MEAN
+        (at,) = np.nonzero(off > most)
         if not len(at):
             return
-        start, end = self._times(int(at[0]), int(at[-1]) + size)
-        most = int(at[np.argmax(off[at])])
+        # the mean is that of windows, of which some are beyond
+        ends = [int(k) + np.flatnonzero(each[k : k + size] > most[k])[[0, -1]] for k in at[[0, -1]]]
+        start, end = self._times(int(ends[0][0]), int(ends[1][1]) + 1)
+        worst = int(at[np.argmax(off[at])])
         yield SignalFault(
             start,
             end,
-            f"the rotor is {off[most]:.3g} rad further from its set point than at first, for a "
+            f"the rotor is {off[worst]:.3g} rad further from its set point than at first, for a "
             f"second and more from {start:.3f} to {end:.3f} s, and the motor's torque is "
-            f"{abs(torque[most]) * 1e3:.3g} mN m; the loop would answer with "
-            f"{off[most] * self._gain * 1e3:.3g} mN m or more: counts were lost or added, or the "
+            f"{abs(answer[worst]) * 1e3:.3g} mN m; the loop would answer with "
+            f"{off[worst] * self._gain * 1e3:.3g} mN m or more: counts were lost or added, or the "
             "loop is not that of [rig.controller]; no torque has a value there; check the "
             "encoder's cable and supply, and record again",
             True,

@@ -96,6 +96,16 @@ def test_a_loop_leaves_no_mean_distance_of_the_set_point_that_it_does_not_answer
     assert not faults(encoder, current, setpoint=encoder * COUNT + off, gain=gain)
 
 
+def test_a_current_at_its_limit_explains_any_distance():
+    encoder, _ = to_and_fro()
+    away = (TIME > 3) & (TIME < 5)
+    wanted, limit = encoder * COUNT + 0.5 * away, instrument().current_limit
+    for current, seen in ((0.4, True), (limit, False)):
+        driven = np.where((TIME > 2.5) & (TIME < 5.5), current, 0.4) + NOISE * (TIME > 6)
+        found = faults(encoder, driven, setpoint=wanted, commanded=True, gain=2.0)
+        assert any("further from" in fault.text for fault in found) == seen
+
+
 def test_a_rotor_that_is_held_while_the_loop_answers_is_no_fault():
     wanted, gain = 0.2 * np.sin(TIME), 0.03
     held = np.full(len(TIME), 12.0)
