@@ -134,7 +134,7 @@ struct rs_model {
     rs_real row_recognised, row_lasts, row_lasting, row_drift, row_least_lasts, row_same;
     /* states */
     rs_real sliding, slow, crawling, speed_limit, torque_limit;
-    rs_real current_limit, largest_current, cold, warm;
+    rs_real current_limit, largest_current, cold, warm, farthest;
     int32_t lowest, highest; /* counts */
     /* the reading: low-pass q' = A q + B M, y = C q + D M, and u^2 = (c s)^2 + (g y)^2 of its
      * deviation s, by state, and while the rotor creeps; the ripple's variance is added */
@@ -175,7 +175,7 @@ struct rigtool_sensor {
     /* samples until they are one of the equations */
     int collected, limited, limited_before, heard, last_limited;
     struct rigtool_sensor_sample last;
-    int32_t encoder;
+    int32_t encoder, lost; /* counts: of now, and those that are taken off what is read */
     rs_real current, current_before, temperature, temperature_before;
     /* x, and its covariance as U diag(d) U'; rows of U that move are those of now within a step.
      * The last columns of u are the covariance of x and q; nothing depends on it. */
@@ -567,8 +567,8 @@ static inline void rs_pass(struct rigtool_sensor *s)
             rs_real total = a[RS_ORDER] * torque[RS_TORQUE] * b[RS_ORDER];
             for (m = 0; m < RS_ORDER; m++) {
                 total += (a[m] * b[RS_ORDER] + a[RS_ORDER] * b[m]) * s->u[RS_TORQUE][RS_STATES + m];
-                for (n = 0; n < RS_ORDER; n++)
-                    total += a[m] * s->own[m][n] * b[n];
+                for (n = 0; n <= m; n++) /* it is symmetrical */
+                    total += s->own[m][n] * (m == n ? a[m] * b[n] : a[m] * b[n] + a[n] * b[m]);
             }
             own[i][j] = own[j][i] = total;
         }
@@ -763,9 +763,9 @@ static inline void rs_narrow(struct rigtool_sensor *s, rs_real edge, rs_real var
         shared[i] = s->u[RS_ANGLE][RS_STATES + i];
     for (i = 0; i < RS_ORDER; i++) {
         s->q[i] += shared[i] * mean;
-        for (j = 0; j < RS_ORDER; j++)
-            s->own[i][j] -= shared[i] * shared[j] * weight;
         shared_weight[i] = shared[i] * weight;
+        for (j = 0; j <= i; j++)
+            s->own[i][j] = s->own[j][i] = s->own[i][j] - shared[i] * shared_weight[j];
     }
     for (i = 0; i < RS_STATES; i++) {
         s->gain[i] = column[i] * weight;
@@ -1425,8 +1425,8 @@ static inline int rs_read(struct rigtool_sensor *s)
     for (i = 0; i < RS_ORDER; i++) {
         torque += c[i] * s->q[i];
         variance += 2 * d * c[i] * s->u[RS_TORQUE][RS_STATES + i];
-        for (j = 0; j < RS_ORDER; j++)
-            variance += c[i] * s->own[i][j] * c[j];
+        for (j = 0; j <= i; j++)
+            variance += (i == j ? 1 : 2) * c[i] * c[j] * s->own[i][j];
     }
     torque -= rs_rippled(s, &other);
     variance = variance > 0 ? variance : 0;
@@ -1548,23 +1548,41 @@ static inline void rs_earlier(
     s->heard = 1;
 }
 
-/* Take in a sample of the loop and return the latest reading; a current or a temperature that is no
- * number, or beyond all limits, begins anew. */
+/* Put back what the count leaps by; whether the filter begins anew, after a rest, in which the
+ * encoder may have stopped: experiments/force_sensor/lost_counts.py. */
+static inline int rs_put_back(struct rigtool_sensor *s)
+{
+    const rs_real usual = s->x[RS_SPEED] * (rs_model.step_time / rs_model.count);
+    const int32_t leap = rs_from(rs_from(s->encoder, s->counted), (int32_t)rs_within(usual, RS_LEAP));
+    const int32_t before = s->lost;
+    if (s->rested_up >= RS_COUNTING_STEPS && s->rested_down >= RS_COUNTING_STEPS) {
+        rigtool_sensor_init(s);
+        s->lost = before;
+        return 1;
+    }
+    s->encoder = rs_from(s->encoder, leap);
+    s->lost = rs_from(before, rs_from(0, leap));
+    return 0;
+}
+
+/* Take in a sample of the loop and return the latest reading; a current that is no number, and a
+ * temperature that is none, or far outside, begin anew. */
 static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
     struct rigtool_sensor *s, struct rigtool_sensor_sample sample)
 {
     rs_real torque, viscous;
-    int limited = RS_MATH(fabs)(sample.current) >= rs_model.current_limit, none;
+    int limited = !(RS_MATH(fabs)(sample.current) < rs_model.current_limit), none;
 #if RS_DIVIDED > 1
     int part;
 #endif
     s->reading.fresh = 0;
-    if (!rs_finite(sample.current + sample.temperature)) {
+    if (!(RS_MATH(fabs)(sample.temperature) <= rs_model.farthest)
+        || (limited && !rs_finite(sample.current))) {
         rigtool_sensor_init(s);
         return &s->reading;
     }
     if (s->collected == RS_AVERAGED / 2) /* angles belong to the middle of what is averaged */
-        s->encoder = sample.encoder;
+        s->encoder = rs_from(sample.encoder, s->lost);
     if (s->collected == 0) {
         s->current = s->temperature = 0;
         s->limited = 0;
@@ -1585,6 +1603,8 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
     none = RS_MATH(fabs)(s->current) <= rs_model.no_current;
     if (s->samples == RS_STEP_SAMPLES) {
         s->samples = 0;
+        if ((uint32_t)rs_from(s->encoder, s->counted) + RS_LEAP > 2u * RS_LEAP && rs_put_back(s))
+            return &s->reading;
         if (!none || !s->none_before)
             s->none_steps = 0;
         else if (s->none_steps < RS_IDLE_STEPS)

@@ -27,8 +27,14 @@ from rigtool.experiments.force_filter import (
 from rigtool.experiments.force_filter.estimate import idle_steps
 from rigtool.experiments.force_model.drive import VISCOUS
 from rigtool.experiments.force_model.steps import LONGEST_EXACT, NO_CURRENT
-from rigtool.experiments.force_sensor import lasting_contact, ripple_rows, shown_ripple
+from rigtool.experiments.force_sensor import (
+    lasting_contact,
+    lost_counts,
+    ripple_rows,
+    shown_ripple,
+)
 from rigtool.experiments.force_sensor.drawn_ripple import learned_ripple
+from rigtool.experiments.force_sensor.lost_counts import Counts
 from rigtool.experiments.force_sensor.sensor import AT_THE_LIMIT, SensorProperties
 from rigtool.numerics.arrays import Array
 
@@ -98,6 +104,8 @@ def _steps(instrument: SensorProperties) -> dict[str, int]:
         "LIMIT_STEPS": _within(motion_states.LIMIT_TIME, step_time),
         "SPEED_STEPS": _within(motion_states.SPEED_TIME, step_time) - 1,
         "IDLE_STEPS": idle_steps(step_time),
+        "LEAP": int(min(Counts(instrument, interval=step_time).largest_step, INT32 // 2)),
+        "COUNTING_STEPS": creeping.steps_of(lost_counts.COUNTING_TIME, step_time),
         "RESTED_STEPS": creeping.steps_of(creeping.RESTED_TIME, step_time),
         "SWUNG_STEPS": creeping.steps_of(creeping.LASTING_TIME, step_time),
         "BUSY_STEPS": _lasting(model.uncertainty.busy_time, step_time),
@@ -236,6 +244,7 @@ def _states(instrument: SensorProperties) -> dict[str, Number]:
         "largest_current": instrument.current_limit,
         "cold": cold,
         "warm": warm,
+        "farthest": instrument.farthest_degc,
         "lowest": max(math.ceil((low - margin) / count), -INT32),
         "highest": min(math.floor((high + margin) / count), INT32),
     }

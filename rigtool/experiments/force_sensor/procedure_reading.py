@@ -17,6 +17,7 @@ from rigtool.experiments.force_model.steps import unbroken
 from rigtool.experiments.force_sensor.results_over_time import TorqueRows
 from rigtool.experiments.force_sensor.results_recordings import Recorded
 from rigtool.experiments.force_sensor.sensor import SensorProperties
+from rigtool.experiments.force_sensor.signal_faults import SignalWatch
 from rigtool.experiments.force_sensor.stretch import Stretch, shortest_stretch
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.numerics.arrays import Array
@@ -98,6 +99,7 @@ def read_recording(
     breaks, read, done = -1, 0.0, 0
     with ThreadPoolExecutor(1) as smoothing, ThreadPoolExecutor(1) as testing:
         stretch: Stretch | None = None
+        watch: SignalWatch | None = None
         for block, begins in unbroken_blocks(recording, instrument):
             if begins:
                 breaks += 1
@@ -116,7 +118,9 @@ def read_recording(
                     (smoothing, testing),
                     commanded=commanded,
                     gain=gain,
+                    before=watch,
                 )
+                watch = stretch.watch
             done += block.shape[1]
             if counts:
                 block[1] -= counts

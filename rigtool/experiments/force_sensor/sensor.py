@@ -102,6 +102,13 @@ class SensorProperties:
         hidden = np.where(held, np.minimum(swing, self.held_variance), 0.0)
         return np.maximum(np.maximum(self.open_variances[holding, kinds], lacking), hidden)
 
+    @property
+    def farthest_degc(self) -> float:
+        """Temperature, to either side of 0 degC, beyond which a sample's is an error: a range of
+        the learned ones further."""
+        cold, warm = np.clip(self.reach.temperature_degc, -1e4, 1e4)
+        return float(max(abs(cold), abs(warm)) + warm - cold)
+
     @cached_property
     def held_variance(self) -> float:
         """Variance of a load that shows nowhere, N2 m2: what friction changes by within a count, a
@@ -195,7 +202,9 @@ class Sensor:
         encoder, current, warm, *others = samples
         constant, slope = self._instrument.torque_constant
         limited, most = self._instrument.limited(current), self._instrument.current_limit
-        known = encoder, np.clip(current, -most, most), constant + slope * warm
+        farthest = self._instrument.farthest_degc
+        degc = np.clip(warm, -farthest, farthest)
+        known = encoder, np.clip(current, -most, most), constant + slope * degc
         every = *known, warm, limited.astype(np.float64), *others
         signals, riding = self._sampler.add(every, last=last)
         amperes, torque_constant, *found = self._stepper.add(riding)

@@ -12,7 +12,7 @@ are compared: within it, a torque beyond friction turns a rotor by more than a c
 The rig's own loop answers a distance d of rotor and set point with a torque g d or more, g the
 smallest gain of its controller. While the encoder stays at one count, a set point that moves by
 more than the change of torque over g, and `UNEXPLAINED_DISTANCE`, leaves a rotor that the loop does
-not see at rest.
+not see at rest. So does one that is further away than at first in the mean of `MEAN_TIME`.
 
 A motor that moves a rig to and fro works against friction. Over a path L within a range R of
 angles, a load that helps in some of the passes does M R / (2 n) at most on the whole. Where the
@@ -30,10 +30,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from rigtool.experiments.controller_torque import UNEXPLAINED_DISTANCE
-from rigtool.experiments.force_filter.motion_states import FASTEST_LEARNED_RATIO
 from rigtool.experiments.force_model.steps import NO_CURRENT
+from rigtool.experiments.force_sensor.lost_counts import COUNTING_TIME, LEAP_RATIO, Counts
 from rigtool.experiments.force_sensor.sensor import SensorProperties
 from rigtool.numerics.arrays import Array, Mask
 
@@ -54,8 +55,11 @@ CUT_WINDOWS, CUT_RATIO, CUT_STEP = 5, 5.0, 0.01
 those at any other value; the largest step to the next value, of its range: a current of coarse
 steps stays the same, too."""
 
-LEAP_RATIO, LEAP_COUNTS = 5.0, 5.0
-"""A leap of the encoder: in the highest speed that was learned, and the fewest counts."""
+MEAN_TIME = 1.0
+"""Time over which a loop without a fault leaves no distance of rotor and set point, s."""
+
+UNEXPLAINED_MEAN = UNEXPLAINED_DISTANCE / 2
+"""Mean distance that is accepted without a torque, rad: most of the others change sign."""
 
 SETTLING_TIME = 1.0
 """Time about a fault that has no value either, s: the filter finds back."""
@@ -87,40 +91,36 @@ class SignalWatch:
     """
 
     def __init__(
-        self, instrument: SensorProperties, *, commanded: bool = False, gain: float = 0.0
+        self,
+        instrument: SensorProperties,
+        *,
+        commanded: bool = False,
+        gain: float = 0.0,
+        before: SignalWatch | None = None,
     ) -> None:
         own, reach = instrument, instrument.reach
         plant = own.model.plant(own.grid.sample_time)
         housing = plant.housing_friction * (1 + abs(plant.housing_asymmetry))
         friction = plant.static + housing * float(np.abs(plant.friction_map).max())
         carried = (1 + 2 * plant.load_friction) * reach.torque / plant.torque_factor
-        self._held = 2 * friction + carried
+        self._held, self._limited = 2 * friction + carried, own.limited
         self._braked = (plant.coulomb + plant.housing_friction) / 2
         self._helped = reach.torque / plant.torque_factor / 2
         self._turn, self._commanded, self._gain = own.count, commanded, gain
-        fastest = FASTEST_LEARNED_RATIO * reach.speed * own.interval / own.count
-        self._leap = max(LEAP_RATIO * fastest, LEAP_COUNTS)
+        self._counts: Counts = Counts(own, 0.0 if before is None else before._counts.lost)
+        self._origin: float = math.nan if before is None else before._origin
         self._constant, self._interval = own.torque_constant, own.interval
         self._size = max(1, round(WINDOW_TIME / own.interval))
-        self._waiting, self._last = np.empty((4, 0)), math.nan
+        self._waiting = np.empty((4, 0))
         self._windows: list[Array] = []
-        self._leaps: list[Array] = []
-        self._count = self._changed = 0
 
-    def add(self, samples: Array, setpoint: Array | None = None) -> None:
+    def add(self, samples: Array, setpoint: Array | None = None) -> Array:
         """Watch samples (c, n): encoder in counts, current A, temperature degC; and the set point
-        of the position (n,), rad, where the rig's own loop moves it."""
-        steps = np.diff(samples[0], prepend=self._last)
-        changed = np.append(self._changed - self._count, np.flatnonzero(steps))
-        at = changed[1:][np.abs(steps[changed[1:]]) > self._leap]
-        if len(at):
-            since = changed[np.searchsorted(changed, at) - 1]
-            times = (self._count + np.array([at, since])) * self._interval
-            self._leaps.append(np.array([*times, steps[at]]))
-        self._changed = int(changed[-1]) + self._count
-        self._count += samples.shape[1]
-        if samples.shape[1]:
-            self._last = float(samples[0, -1])
+        of the position (n,), rad, where the rig's own loop moves it. Return the samples with the
+        counts put back that were lost."""
+        counts = self._counts.add(encoder := samples[0])
+        if counts is not encoder:
+            samples = np.vstack([counts, samples[1:]])
         wanted = np.full(samples.shape[1], np.nan) if setpoint is None else setpoint
         whole = np.hstack([self._waiting, np.vstack([samples[:3], wanted])])
         count = whole.shape[1] // self._size
@@ -132,34 +132,56 @@ class SignalWatch:
             cold, slope = self._constant
             torque = (cold + slope * rows[2].mean(axis=1)) * current.mean(axis=1)
             moved = encoder[:, -1] - encoder[:, 0]
-            self._windows.append(np.array([*ends, torque, moved, wanted[:, 0]]))
+            distance = wanted[:, 0] - encoder[:, 0] * self._turn
+            self._windows.append(np.array([*ends, torque, moved, distance]))
+        return samples
 
     def faults(self) -> tuple[SignalFault, ...]:
         """Return what was seen so far, in order of time."""
         found = [*self._leaped()]
         if self._windows:
-            low, high, least, most, torque, moved, wanted = np.hstack(self._windows)
+            low, high, least, most, torque, moved, distance = np.hstack(self._windows)
             found += self._opposed(torque, moved * self._turn, float(np.ptp(low)) * self._turn)
-            found += self._stopped(low, low == high, torque, wanted)
+            found += self._stopped(low, low == high, torque, distance)
+            limited = self._limited(np.maximum(np.abs(least), np.abs(most)))
+            found += self._left(np.where(limited, np.inf, torque), distance)
             found += self._frozen(low, high, most, least == most)
             found += self._cut(most, least, (least == most) & (low < high))
         return tuple(sorted(found, key=lambda one: one.start))
 
     def _leaped(self) -> Iterator[SignalFault]:
-        if not self._leaps:
+        every = self._counts.leaps
+        if every is None:
             return
-        time, since, counts = np.hstack(self._leaps)
-        largest = counts[np.argmax(np.abs(counts))]
-        # what it rested before, it may not have counted; from one edge to the next it has
-        rested = bool(time[0] - since[0] > WINDOW_TIME)
+        wrapped, leaps = every[every.wraps > 0], every[every.wraps == 0]
+        if count := len(wrapped.sample):
+            first, last = wrapped.sample[[0, -1]] * self._interval
+            text = (
+                f"the encoder's counter wraps at {wrapped.wraps[0]:.0f} counts, {count} times from "
+                f"{first:.3f} to {last:.3f} s: they are put back"
+            )
+            yield SignalFault(float(first), float(last), text, False)
+        if not (count := len(leaps.sample)):
+            return
+        largest = leaps.counts[np.argmax(np.abs(leaps.counts))]
+        first, last = leaps.sample[[0, -1]] * self._interval
+        since = float(leaps.since[0] * self._interval)
+        rests = np.count_nonzero(~leaps.put_back)
+        behind = "counts were lost or added"
+        if rests < count:
+            behind += " and are put back"
+        if rests:
+            behind += (
+                f", or the encoder had stopped, for {rests} of them came after a rest: if it had "
+                "not, angles behind these are off by as many"
+            )
         yield SignalFault(
-            float(since[0] if rested else time[0]),
-            float(time[-1]),
-            f"the encoder leaps from one sample to the next, {len(time)} times from "
-            f"{time[0]:.3f} to {time[-1]:.3f} s, by up to {largest:.0f} counts; "
-            f"{LEAP_RATIO:g} times the learned speed is {self._leap:.0f}: counts were lost or "
-            "added, and angles behind may be off by as many; check the encoder's cable and "
-            "supply, and record again",
+            # what it rested before, it may not have counted; from one edge to the next it has
+            since if first - since > COUNTING_TIME else float(first),
+            float(last),
+            f"the encoder leaps from one sample to the next, {count} times from {first:.3f} to "
+            f"{last:.3f} s, by up to {largest:.0f} counts; {LEAP_RATIO:g} times the learned speed "
+            f"is {self._counts.largest_step:.0f}: {behind}; check the encoder's cable and supply",
             True,
         )
 
@@ -176,10 +198,10 @@ class SignalWatch:
         )
 
     def _stopped(
-        self, count: Array, still: Mask, torque: Array, wanted: Array
+        self, count: Array, still: Mask, torque: Array, distance: Array
     ) -> Iterator[SignalFault]:
         for first, last in _runs(count, still):
-            change, left = (float(np.ptp(one[first:last])) for one in (torque, wanted))
+            change, left = (float(np.ptp(one[first:last])) for one in (torque, distance))
             shown, answer = f"changes by {change * 1e3:.3g} mN m", self._gain * left
             if change > self._held:
                 why = (
@@ -204,6 +226,34 @@ class SignalWatch:
                 "record again",
                 True,
             )
+
+    def _left(self, torque: Array, distance: Array) -> Iterator[SignalFault]:
+        size = round(MEAN_TIME / (self._size * self._interval))
+        if len(torque) < size or not self._gain > 0 or not self._commanded:
+            return
+        mean, answer = (sliding_window_view(one, size).mean(axis=1) for one in (distance, torque))
+        if math.isnan(self._origin):
+            self._origin = float(mean[0])
+        off, each = np.abs(mean - self._origin), np.abs(distance - self._origin)
+        most = (np.abs(answer) + 2 * self._braked) / self._gain + UNEXPLAINED_MEAN
+        (at,) = np.nonzero(off > most)
+        if not len(at):
+            return
+        # the mean is that of windows, of which some are beyond
+        ends = [int(k) + np.flatnonzero(each[k : k + size] > most[k])[[0, -1]] for k in at[[0, -1]]]
+        start, end = self._times(int(ends[0][0]), int(ends[1][1]) + 1)
+        worst = int(at[np.argmax(off[at])])
+        yield SignalFault(
+            start,
+            end,
+            f"the rotor is {off[worst]:.3g} rad further from its set point than at first, for a "
+            f"second and more from {start:.3f} to {end:.3f} s, and the motor's torque is "
+            f"{abs(answer[worst]) * 1e3:.3g} mN m; the loop would answer with "
+            f"{off[worst] * self._gain * 1e3:.3g} mN m or more: counts were lost or added, or the "
+            "loop is not that of [rig.controller]; no torque has a value there; check the "
+            "encoder's cable and supply, and record again",
+            True,
+        )
 
     def _frozen(self, low: Array, high: Array, most: Array, same: Mask) -> Iterator[SignalFault]:
         rests = low == high

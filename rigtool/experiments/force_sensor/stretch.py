@@ -93,13 +93,14 @@ class Stretch:
         *,
         commanded: bool = False,
         gain: float = 0.0,
+        before: SignalWatch | None = None,
     ) -> None:
         step_time = instrument.grid.step_time
         self._name, self._instrument, self._workers = name, instrument, workers
         self._began = began - instrument.interval / 2
         self._every = steps_of_a_row(step_time, instrument.corner_hz)
         self._sensor = Sensor(instrument)
-        self._watch = SignalWatch(instrument, commanded=commanded, gain=gain)
+        self.watch = SignalWatch(instrument, commanded=commanded, gain=gain, before=before)
         self._again = instrument.again()
         self._smoother = Smoother(instrument.model.uncertainty, step_time)
         self._untouched: Filter | None = None
@@ -119,8 +120,8 @@ class Stretch:
     def add(self, samples: Array, setpoint: Array | None = None, *, last: bool = False) -> None:
         """Read samples (c, n): encoder, current, temperature, and the reference where it is. The
         set point (n,), rad, is only compared with the encoder."""
+        samples = self.watch.add(samples, setpoint)
         sensed = self._sensor.add(samples, last=last)
-        self._watch.add(samples, setpoint)
         self._limited += int(np.count_nonzero(self._instrument.limited(samples[1])))
         self._settle(LATE_BLOCKS)
         estimate = sensed.estimate
@@ -215,7 +216,7 @@ class Stretch:
         states[np.abs(torque) > LARGEST_LEARNED_RATIO * self._instrument.reach.torque] = (
             State.OUTSIDE
         )
-        faults = self._watch.faults()
+        faults = self.watch.faults()
         rows, causal_states = slice(None, None, every), self._taken("causal_states")
         for fault in faults:
             since = step_time * np.arange(1.0, self._steps + 1)

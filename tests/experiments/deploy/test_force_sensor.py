@@ -139,6 +139,59 @@ def test_what_is_no_number_begins_anew(libraries, samples):
         np.testing.assert_array_equal(library.add(part), alone)
 
 
+@pytest.mark.parametrize("kind", ["double", "float"])
+@pytest.mark.parametrize("counts", [700, -(2**16), 2**31 - 1])
+def test_counts_that_leap_while_the_rotor_moves_are_put_back(libraries, samples, kind, counts):
+    library, whole = libraries[kind], samples["strokes"]
+    plain, part = read(library, whole), whole.copy()
+    part[0, 11000:24000] += counts
+    part[0] = (part[0] + 2**31) % 2**32 - 2**31
+    found = read(library, part)
+    same = found[:, 4] == plain[:, 4]
+    assert same.mean() > 0.98
+    known = same & (plain[:, 4] > 0)
+    assert (np.abs(found - plain)[known, 0] < plain[known, 1]).all()
+    step = instrument().grid.step_time
+    most = 5 * 1.1 * REACH.speed * step / instrument().count
+    assert most < 700
+    part = whole.copy()
+    part[0, 11000:] += int(most) - 5  # is a motion
+    assert (np.abs(read(library, part) - plain)[:, 0] > 3 * plain[:, 1]).any()
+
+
+def test_counts_that_leap_after_a_rest_begin_anew(libraries, samples):
+    part = samples["strokes"][:, :24000].copy()
+    part[0, 8000:10000] = part[0, 8000]  # stopped, or at rest
+    assert abs(part[0, 10000] - part[0, 9999]) > 100
+    found = read(libraries["double"], part)
+    size = len(read(libraries["double"], part[:, :10000]))
+    alone = read(libraries["double"], part[:, 10000:])
+    behind = found[size:]
+    lag = len(behind) - len(alone)
+    assert abs(lag) <= 1
+    behind, alone = behind[max(0, lag) :], alone[max(0, -lag) :]
+    known = behind[:, 4] > 0
+    assert not known[:90].any()
+    assert known[200:].mean() > 0.9
+    both = known & (alone[:, 4] > 0)
+    assert (np.abs(behind - alone)[both, 0] < alone[both, 1]).mean() > 0.98
+
+
+@pytest.mark.parametrize("degc", [1000.0, -1e30])
+def test_a_temperature_that_no_motor_has_begins_anew(libraries, samples, degc):
+    part = samples["free"].copy()
+    part[2, 12000:16000] = degc
+    plain, found = read(libraries["double"], samples["free"]), read(libraries["double"], part)
+    assert len(plain) - len(found) == pytest.approx(500, abs=3)
+    behind, plain = found[-1900:], plain[-1900:]
+    known = (behind[:, 4] > 0) & (plain[:, 4] > 0)
+    assert known.mean() > 0.85
+    assert (np.abs(behind - plain)[known, 0] < 3 * behind[known, 1]).mean() > 0.99
+    wanted = expected(instrument(), part)[-1900:]  # in Python it is limited
+    both = known & (wanted[:, 4] > 0)
+    assert (np.abs(behind - wanted)[both, 0] < 3 * wanted[both, 1]).mean() > 0.99
+
+
 def test_limits_have_no_value(libraries, samples):
     changed = {
         "warm": np.where(np.arange(samples["free"].shape[1]) > 20000, 60.0, WARM),

@@ -35,9 +35,14 @@ class Stretches:
 
     def __init__(self):
         self.made, self.given, self.wanted = [], [], []
+        self.watch = None
 
-    def __call__(self, name, instrument, began, size, workers, *, commanded=False, gain=0.0):
+    def __call__(
+        self, name, instrument, began, size, workers, *, commanded=False, gain=0.0, before=None
+    ):
         assert len(workers) == 2
+        assert before is self.watch  # that of the stretch before
+        self.watch = object()
         assert gain == (0.7 if commanded else 0.0)
         self.made.append((name, began, size, commanded))
         self.given.append([])
@@ -52,7 +57,7 @@ class Stretches:
             self.given[number].append(samples)
             self.wanted.append(setpoint)
 
-        stretch = SimpleNamespace(add=add, reading=reading, seconds=0.0)
+        stretch = SimpleNamespace(add=add, reading=reading, seconds=0.0, watch=self.watch)
         return stretch
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rigtool.experiments.force_sensor.signal_faults import SETTLING_TIME, SignalWatch
-from tests.experiments.deploy.sensors import instrument
+from tests.experiments.deploy.sensors import COUNTS, instrument
 
 INTERVAL = 125e-6
 TIME = np.arange(0, 8, INTERVAL)
@@ -74,6 +74,52 @@ def test_counts_that_are_lost_at_once_are_a_leap():
     assert "2 times" in fault.text
     assert "-90 counts" in fault.text
     assert (fault.start, fault.end) == pytest.approx((4.5, 5.5), abs=1e-3)
+
+
+@pytest.mark.parametrize("pieces", [(), (1, 30000, 30001, 36000, 36001), range(35990, 36010)])
+def test_what_leaps_while_the_rotor_moves_is_put_back(pieces):
+    """Whatever the pieces are that samples come in: lost counts, and a glitch of a few samples."""
+    truth, current = strokes()
+    encoder = truth + 70 * (TIME >= 4.5)
+    encoder[between(5.5, 5.501)] -= 3000
+    encoder[TIME >= 6.5] -= 90
+    watch = SignalWatch(instrument())
+    samples = np.array([encoder, current, np.full(len(TIME), 27.0)])
+    found = np.hstack([watch.add(part) for part in np.split(samples, pieces, axis=1)])
+    np.testing.assert_array_equal(found[1:], samples[1:])
+    np.testing.assert_allclose(found[0], truth, atol=4)  # one each: a count may pass meanwhile
+    np.testing.assert_array_equal(samples[0], encoder)
+    (fault,) = watch.faults()
+    assert "4 times" in fault.text
+    assert "are put back" in fault.text
+    behind = SignalWatch(instrument(), before=watch)  # of a gap
+    np.testing.assert_allclose(behind.add(samples[:, -9:])[0], truth[-9:], atol=4)
+
+
+@pytest.mark.parametrize("wraps", [2**16, COUNTS])
+@pytest.mark.parametrize("still", [True, False])
+def test_a_counter_that_wraps_is_put_back_and_keeps_its_values(wraps, still):
+    truth, current = strokes()
+    raw = np.where(truth >= truth[np.argmax(TIME >= 3.5)], truth - wraps, truth)
+    if still:
+        truth = np.full(len(TIME), 12.0)
+        raw = truth - wraps * between(4, 5)
+    watch = SignalWatch(instrument())
+    found = watch.add(np.array([raw, current, np.full(len(TIME), 27.0)]))
+    np.testing.assert_array_equal(found[0], truth + (raw - truth)[0])
+    wrapped, *_ = (one for one in watch.faults() if "wraps" in one.text)
+    assert not wrapped.no_value
+    assert f"wraps at {wraps} counts" in wrapped.text
+
+
+def test_what_leaps_at_rest_and_back_is_taken_as_it_is():
+    encoder, current = np.full(len(TIME), 12.0), 0.2 + NOISE
+    encoder[4000:4003] += 700
+    watch = SignalWatch(instrument())
+    found = watch.add(np.array([encoder, current, np.full(len(TIME), 27.0)]))
+    np.testing.assert_array_equal(found[0], encoder)
+    (leap,) = (one for one in watch.faults() if "leaps" in one.text)
+    assert "for 2 of them came after a rest" in leap.text
 
 
 def test_what_rests_before_a_leap_was_not_counted():

@@ -1,0 +1,111 @@
+"""Counts that an encoder loses, adds or wraps from one sample to the next: they are put back.
+
+A rotor has inertia: from one sample to the next it does not pass more counts than at some times the
+learned speed. What leaps further while it moves is an error of the count, and all counts behind it
+are off by as many: by the leap, less the step of before. It is taken off.
+
+A leap that is a turn of the encoder, or a power of two from 2^15 on, is a counter that wraps.
+
+What leaps after a rest may be a channel that had stopped, and shows again where the rotor is. The
+counts behind are taken as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from rigtool.experiments.force_filter.motion_states import FASTEST_LEARNED_RATIO
+from rigtool.experiments.force_sensor.sensor import SensorProperties
+from rigtool.numerics.arrays import Array, Mask
+
+LEAP_RATIO, LEAP_COUNTS = 5.0, 5.0
+"""A leap of the encoder: in the highest speed that was learned, and the fewest counts."""
+
+COUNTING_TIME = 20e-3
+"""Time without a count from which on a rotor rests, s: a channel may have stopped."""
+
+WRAPS = 2.0 ** np.arange(15, 65)
+"""Where counters wrap, counts."""
+
+
+@dataclass(frozen=True)
+class Leaps:
+    """Steps of `counts` (n,) at `sample` (n,); the last count before passed at sample `since` (n,).
+    `wraps` (n,) are the counts at which the counter wraps, or 0; what is `put_back` (n,) is not in
+    the counts behind."""
+
+    sample: Array
+    since: Array
+    counts: Array
+    wraps: Array
+    put_back: Mask
+
+    def __getitem__(self, which: Mask) -> Leaps:
+        return Leaps(*(getattr(self, field.name)[which] for field in fields(self)))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Leaps]) -> Leaps:
+        """Return parts (one at least) one behind the other."""
+        return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
+
+
+class Counts:
+    """Puts counts back, sample by sample as they come, each recorded `interval` s by default;
+    `lost` ones are off from the begin on."""
+
+    def __init__(
+        self, instrument: SensorProperties, lost: float = 0.0, *, interval: float | None = None
+    ) -> None:
+        interval = instrument.interval if interval is None else interval
+        fastest = FASTEST_LEARNED_RATIO * instrument.reach.speed * interval
+        self.largest_step = max(LEAP_RATIO * fastest / instrument.count, LEAP_COUNTS)
+        self.lost = lost
+        self._leaps: list[Leaps] = []
+        self._turn = round(2 * np.pi / instrument.count)
+        self._resting = COUNTING_TIME / interval
+        self._seen = self._changed = 0
+        self._last, self._step = np.nan, 0.0
+
+    @property
+    def leaps(self) -> Leaps | None:
+        """All leaps so far, if there were any."""
+        return Leaps.joined(self._leaps) if self._leaps else None
+
+    def add(self, encoder: Array) -> Array:
+        """Return the counts (n,) with those put back that were lost or added."""
+        if not encoder.size:
+            return encoder
+        steps = np.diff(encoder, prepend=self._last)
+        leap = np.abs(steps) > self.largest_step
+        (at,) = np.nonzero(leap)
+        changed = np.append(self._changed - self._seen, np.flatnonzero((steps != 0) & ~leap))
+        found = encoder - self.lost if self.lost else encoder
+        if at.size:
+            usual = np.append(self._step, steps[~leap])
+            before = usual[at - np.arange(at.size)]
+            since = changed[np.searchsorted(changed, at) - 1]
+            more = steps[at] - np.where(before == before, before, 0.0)
+            wraps = self._wraps(np.abs(more))
+            put_back = (wraps > 0) | (at - since <= self._resting)
+            own = np.where(wraps > 0, np.copysign(wraps, more), more) * put_back
+            found = found - np.bincount(at, own, encoder.size).cumsum()
+            self.lost += float(own.sum())
+            sample, since = (np.asarray(one + self._seen, dtype=float) for one in (at, since))
+            self._leaps.append(Leaps(sample, since, steps[at], wraps, put_back))
+        if not leap.all():
+            self._step = float(steps[~leap][-1])
+        self._changed = int(changed[-1]) + self._seen
+        self._seen += encoder.size
+        self._last = float(encoder[-1])
+        return found
+
+    def _wraps(self, size: Array) -> Array:
+        """Return where a counter wraps that leaps by so many counts (n,); 0 where it does not."""
+        found = np.zeros(size.shape)
+        for wraps in (self._turn, *WRAPS.tolist()):
+            if 4 * self.largest_step < wraps:
+                found[np.abs(size - wraps) <= self.largest_step] = wraps
+        return found
