@@ -20,6 +20,11 @@ from rigtool.experiments.controller_torque import (
 )
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
+from rigtool.experiments.ripple.distortion import (
+    amplifier_distortion,
+    distorted_orders,
+    distortion_note,
+)
 from rigtool.experiments.ripple.imported import analyse_imported
 from rigtool.experiments.ripple.orders import (
     HIGHEST_ORDER,
@@ -163,10 +168,13 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     ]
     constants, per_amperes, heat_note = _constants(kt, recorded, found)
     held = [own.waveforms * k for own, k in zip(found, per_amperes, strict=True)]
+    by_amplifier, distortion_notes = _distorted(kt, found, constants)
     changes = _friction_changes(recorded, [float(torque.mean()) for torque in held])
     ripples = [
-        LoopRipple(torque - torque.mean(), own.sampling, own.durations, own.steps, change)
-        for own, torque, change in zip(found, held, changes, strict=True)
+        LoopRipple(
+            torque - torque.mean(), own.sampling, own.durations, own.steps, change, distorted
+        )
+        for own, torque, change, distorted in zip(found, held, changes, by_amplifier, strict=True)
     ]
     by_speed, by_torque = ripples[: len(speeds)], ripples[len(speeds) :][: len(torques)]
     by_cycle = ripples[len(speeds) + len(torques) :]
@@ -191,6 +199,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
         loop_note(recipe, speeds[-1].condition("speed") / (2 * math.pi)),
         *_shaking_note(recorded, recipe),
         *varying_note(recorded, ripples),
+        *distortion_notes,
         *steps_note(recorded, recipe),
         *_resolution_notes(speeds, by_speed, "speed", "rad/s"),
         *_resolution_notes(torques, by_torque, "torque", "N m"),
@@ -199,6 +208,27 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     if not comparisons:
         notes.append("fewer than two power cycles: nothing to compare")
     return Outcome(results, tables, tuple(notes))
+
+
+def _distorted(
+    kt: Run, found: Sequence[Collected], constants: Sequence[Quantity]
+) -> tuple[list[Array], list[str]]:
+    """Return `LoopRipple.distorted` of each recording, by the levels of the calibration, and a
+    note where they show that the amplifier is not linear."""
+    if "linearity" not in kt.tables:
+        return [np.zeros(HIGHEST_ORDER)] * len(found), []
+    columns = kt.tables["linearity"].columns
+    distortion = amplifier_distortion(
+        columns["current_setpoint"].values,
+        columns["deviation"].values,
+        kt.results["amplifier_linearity"].u or 0.0,
+    )
+    orders = [
+        constant.value * distorted_orders(own.waveforms, distortion, HIGHEST_ORDER, own.sampling)
+        for own, constant in zip(found, constants, strict=True)
+    ]
+    ripple = np.array([own.waveforms.mean(axis=0).std() for own in found])
+    return orders, distortion_note(distortion, ripple)
 
 
 def _friction_changes(recorded: Sequence[Recording], torque: Sequence[float]) -> list[float]:

@@ -13,8 +13,9 @@ from rigtool.experiments.ripple.procedure import _friction_changes, _shaking_not
 from rigtool.experiments.ripple.procedure_steady import collected, steady_samples
 from rigtool.experiments.ripple.results import steps_note
 from rigtool.experiments.ripple.shared_scatter import shared_floor
+from rigtool.quantity import Quantity
 from rigtool.recipe import load_recipe, override_recipe
-from rigtool.runfile import open_run
+from rigtool.runfile import Column, RunWriter, Table, open_run
 from tests.experiments.virtual_runs import (
     QUIET,
     RECIPE,
@@ -376,6 +377,29 @@ def test_friction_that_changes_with_the_speed_is_part_of_u(folder, kt):
     assert away > 5 * table["noise_floor"][1, 11]
     assert away < 2 * table["u"][1, 11]
     assert not any("varies the speed" in note for note in outcome.notes)
+
+
+def test_an_amplifier_off_its_line_is_part_of_u_and_noted(measured, folder):
+    levels = np.linspace(0.0, 4.0, 11)
+    columns = {
+        "current_setpoint": Column(levels, "A"),
+        "deviation": Column(2e-3 * np.cos(2.2 * np.arange(levels.size)), "A"),
+    }
+    results = {
+        "torque_constant_mean": Quantity(TORQUE_CONSTANT, "N m/A", 0.0),
+        "amplifier_linearity": Quantity(2e-3, "A", 1e-5),
+    }
+    table = Table(("current_setpoint",), columns, "deviation", "DC linearity")
+    path = folder / "bent.h5"
+    with RunWriter(path, command="calibrate-kt") as writer:
+        writer.finish(results, {"linearity": table})
+    with open_run(measured[0]) as stored, open_run(path) as constant:
+        outcome = fft_ripple.analyse([stored], stored.recipe, kt=constant)
+    plain = measured[1].tables["power_spectrum"]["u"][0, :6]
+    more = outcome.tables["power_spectrum"]["u"][0, :6] - plain
+    assert (more > 0.05 * 2e-3 * TORQUE_CONSTANT).all()
+    assert any("the amplifier is not linear" in note for note in outcome.notes)
+    assert not any("the amplifier is not linear" in note for note in measured[1].notes)
 
 
 def test_friction_is_the_mean_torque_without_the_constant_one():

@@ -28,7 +28,9 @@ def durations(speed):
 
 def accelerating(durations, sampling=FINE, width=1):
     """Return the orders that accelerate the inertia: without torque, those of the ripple less."""
-    still = LoopRipple(np.zeros_like(durations), sampling, durations, np.zeros(ORDERS), 0.0)
+    still = LoopRipple(
+        np.zeros_like(durations), sampling, durations, np.zeros(ORDERS), 0.0, np.zeros(ORDERS)
+    )
     asked, found = motor_orders(still, INERTIA, np.ones(ORDERS, complex), width)
     assert not asked.any()
     return -found
@@ -74,7 +76,7 @@ def test_torque_counts_by_the_time_that_it_acts_and_turns_to_when_it_does():
     taken = np.tile([1e-3, 3e-3], (2, CELLS // 2))
     for width in (1, 2):
         torque = np.tile(wave * np.sinc(3 / CELLS), (2, 1))
-        own = LoopRipple(torque, FINE, taken, np.zeros(ORDERS), 0.0)
+        own = LoopRipple(torque, FINE, taken, np.zeros(ORDERS), 0.0, np.zeros(ORDERS))
         asked, _ = motor_orders(own, INERTIA, turned, width)
         assert_allclose(asked[:, 2], np.exp(-0.3j), rtol=2e-3)
         assert np.abs(np.delete(asked, 2, axis=1)).max() < 1e-3
@@ -118,7 +120,9 @@ def test_torque_changes_with_an_uneven_speed_as_friction_and_ripple_may():
     """A speed of 1 + 0.1 cos 3 angle: friction in order 3; ripple of order 8 in 5 and 11."""
     taken = np.repeat(durations(9 * (1 + 0.1 * np.cos(3 * ANGLE))), 2, axis=0)
     wave = np.cos(8 * (np.arange(CELLS) + 0.5) * 2 * np.pi / CELLS)
-    own = LoopRipple(np.tile(2e-3 * wave, (2, 1)), FINE, taken, np.zeros(ORDERS), 1e-3)
+    own = LoopRipple(
+        np.tile(2e-3 * wave, (2, 1)), FINE, taken, np.zeros(ORDERS), 1e-3, np.zeros(ORDERS)
+    )
     found = uneven_orders(own, ORDERS)
     mean = np.sqrt(1 - 0.1**2)  # of the speed over time
     assert found[2] == pytest.approx(1e-3 * 0.1 / mean, rel=2e-3)
