@@ -49,7 +49,7 @@ from rigtool.experiments.ripple.results import (
     steps_note,
     varying_note,
 )
-from rigtool.experiments.ripple.varying_speed import friction_changes
+from rigtool.experiments.ripple.varying_speed import friction_changes, slowest
 from rigtool.experiments.ripple.winding_heat import Lowered, TurnCurrents, winding_heat
 from rigtool.experiments.torque_constant.staircases.model import COPPER_COEFFICIENT
 from rigtool.experiments.torque_per_ampere import (
@@ -169,7 +169,11 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     constants, per_amperes, heat_note = _constants(kt, recorded, found)
     held = [own.waveforms * k for own, k in zip(found, per_amperes, strict=True)]
     by_amplifier, distortion_notes = _distorted(kt, found, constants)
-    changes = _friction_changes(recorded, [float(torque.mean()) for torque in held])
+    changes = _friction_changes(
+        recorded,
+        [float(torque.mean()) for torque in held],
+        [slowest(own.durations) for own in found],
+    )
     ripples = [
         LoopRipple(
             torque - torque.mean(), own.sampling, own.durations, own.steps, change, distorted
@@ -231,8 +235,11 @@ def _distorted(
     return orders, distortion_note(distortion, ripple)
 
 
-def _friction_changes(recorded: Sequence[Recording], torque: Sequence[float]) -> list[float]:
-    """Return the `friction_changes` of each recording by its mean torque, N m."""
+def _friction_changes(
+    recorded: Sequence[Recording], torque: Sequence[float], lowest: Sequence[float]
+) -> list[float]:
+    """Return the `friction_changes` of each recording by its mean torque, N m, and the `lowest`
+    speed around its turn, over the mean."""
     friction: dict[float, float] = {}
     for recording, mean in zip(recorded, torque, strict=True):
         constant = recording.condition("torque") if "torque" in recording.conditions else 0.0
@@ -241,7 +248,12 @@ def _friction_changes(recorded: Sequence[Recording], torque: Sequence[float]) ->
         if speed not in friction or not constant:
             friction[speed] = mean - constant
     speeds = sorted(friction)
-    changes = friction_changes(np.array(speeds), np.array([friction[speed] for speed in speeds]))
+    at_slowest = [r.condition("speed") == speeds[0] for r in recorded]
+    changes = friction_changes(
+        np.array(speeds),
+        np.array([friction[speed] for speed in speeds]),
+        float(np.min(np.asarray(lowest)[at_slowest])),
+    )
     found = dict(zip(speeds, changes.tolist(), strict=True))
     return [found[recording.condition("speed")] for recording in recorded]
 
