@@ -156,13 +156,15 @@ class Ripple:
 class LoopRipple(Ripple):
     """Ripple that the position loop shows: `durations` (revolutions, positions) are how long the
     rotor takes for each cell, s; `steps` (m,) the amplitudes, N m, that the loop answers the
-    encoder's steps with at orders 1..m; `friction_change` is the standard change of friction, N m,
-    with the relative change of the speed.
+    encoder's steps with at orders 1..m, `distorted` (m,) the standard uncertainty, N m, by an
+    amplifier that is not linear; `friction_change` is the standard change of friction, N m, with
+    the relative change of the speed.
     """
 
     durations: Array
     steps: Array
     friction_change: float
+    distorted: Array
 
 
 def remove_offset(waveforms: Array, sampling: Sampling) -> Ripple:

@@ -20,6 +20,11 @@ from rigtool.experiments.controller_torque import (
 )
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
+from rigtool.experiments.ripple.distortion import (
+    amplifier_distortion,
+    distorted_orders,
+    distortion_note,
+)
 from rigtool.experiments.ripple.imported import analyse_imported
 from rigtool.experiments.ripple.orders import (
     HIGHEST_ORDER,
@@ -44,7 +49,7 @@ from rigtool.experiments.ripple.results import (
     steps_note,
     varying_note,
 )
-from rigtool.experiments.ripple.varying_speed import friction_changes
+from rigtool.experiments.ripple.varying_speed import friction_changes, slowest
 from rigtool.experiments.ripple.winding_heat import Lowered, TurnCurrents, winding_heat
 from rigtool.experiments.torque_constant.staircases.model import COPPER_COEFFICIENT
 from rigtool.experiments.torque_per_ampere import (
@@ -163,10 +168,17 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     ]
     constants, per_amperes, heat_note = _constants(kt, recorded, found)
     held = [own.waveforms * k for own, k in zip(found, per_amperes, strict=True)]
-    changes = _friction_changes(recorded, [float(torque.mean()) for torque in held])
+    by_amplifier, distortion_notes = _distorted(kt, found, constants)
+    changes = _friction_changes(
+        recorded,
+        [float(torque.mean()) for torque in held],
+        [slowest(own.durations) for own in found],
+    )
     ripples = [
-        LoopRipple(torque - torque.mean(), own.sampling, own.durations, own.steps, change)
-        for own, torque, change in zip(found, held, changes, strict=True)
+        LoopRipple(
+            torque - torque.mean(), own.sampling, own.durations, own.steps, change, distorted
+        )
+        for own, torque, change, distorted in zip(found, held, changes, by_amplifier, strict=True)
     ]
     by_speed, by_torque = ripples[: len(speeds)], ripples[len(speeds) :][: len(torques)]
     by_cycle = ripples[len(speeds) + len(torques) :]
@@ -191,6 +203,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
         loop_note(recipe, speeds[-1].condition("speed") / (2 * math.pi)),
         *_shaking_note(recorded, recipe),
         *varying_note(recorded, ripples),
+        *distortion_notes,
         *steps_note(recorded, recipe),
         *_resolution_notes(speeds, by_speed, "speed", "rad/s"),
         *_resolution_notes(torques, by_torque, "torque", "N m"),
@@ -201,8 +214,32 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     return Outcome(results, tables, tuple(notes))
 
 
-def _friction_changes(recorded: Sequence[Recording], torque: Sequence[float]) -> list[float]:
-    """Return the `friction_changes` of each recording by its mean torque, N m."""
+def _distorted(
+    kt: Run, found: Sequence[Collected], constants: Sequence[Quantity]
+) -> tuple[list[Array], list[str]]:
+    """Return `LoopRipple.distorted` of each recording, by the levels of the calibration, and a
+    note where they show that the amplifier is not linear."""
+    if "linearity" not in kt.tables:
+        return [np.zeros(HIGHEST_ORDER)] * len(found), []
+    columns = kt.tables["linearity"].columns
+    distortion = amplifier_distortion(
+        columns["current_setpoint"].values,
+        columns["deviation"].values,
+        kt.results["amplifier_linearity"].u or 0.0,
+    )
+    orders = [
+        constant.value * distorted_orders(own.waveforms, distortion, HIGHEST_ORDER, own.sampling)
+        for own, constant in zip(found, constants, strict=True)
+    ]
+    ripple = np.array([own.waveforms.mean(axis=0).std() for own in found])
+    return orders, distortion_note(distortion, ripple)
+
+
+def _friction_changes(
+    recorded: Sequence[Recording], torque: Sequence[float], lowest: Sequence[float]
+) -> list[float]:
+    """Return the `friction_changes` of each recording by its mean torque, N m, and the `lowest`
+    speed around its turn, over the mean."""
     friction: dict[float, float] = {}
     for recording, mean in zip(recorded, torque, strict=True):
         constant = recording.condition("torque") if "torque" in recording.conditions else 0.0
@@ -211,7 +248,12 @@ def _friction_changes(recorded: Sequence[Recording], torque: Sequence[float]) ->
         if speed not in friction or not constant:
             friction[speed] = mean - constant
     speeds = sorted(friction)
-    changes = friction_changes(np.array(speeds), np.array([friction[speed] for speed in speeds]))
+    at_slowest = [r.condition("speed") == speeds[0] for r in recorded]
+    changes = friction_changes(
+        np.array(speeds),
+        np.array([friction[speed] for speed in speeds]),
+        float(np.min(np.asarray(lowest)[at_slowest])),
+    )
     found = dict(zip(speeds, changes.tolist(), strict=True))
     return [found[recording.condition("speed")] for recording in recorded]
 

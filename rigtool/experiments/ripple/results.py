@@ -177,7 +177,11 @@ def _spectrum(
     )
     by_inertia = INERTIA_U * np.abs((asked - found).mean(axis=0))
     uneven = uneven_orders(ripple, HIGHEST_ORDER)
-    return motor, dof, np.sqrt(by_inertia**2 + unresolved**2 + uneven**2)
+    return (
+        motor,
+        dof,
+        np.sqrt(by_inertia**2 + unresolved**2 + uneven**2 + np.square(ripple.distorted)),
+    )
 
 
 def ripple_results(by_speed: Sequence[Ripple]) -> dict[str, Quantity]:

@@ -14,10 +14,13 @@ from __future__ import annotations
 import numpy as np
 
 from rigtool.experiments.ripple.orders import LoopRipple, coefficients
-from rigtool.numerics.arrays import Array, ComplexArray
+from rigtool.numerics.arrays import TINY, Array, ComplexArray
 
 SPEED_ORDERS = 30
 """Orders by which ripple varies the speed: the inertia holds higher ones."""
+
+NEARLY_EVEN = 0.99
+"""Part of the mean speed from which on the slowest place is as fast as the mean."""
 
 LEAP = 10.0
 """Largest speed over its mean that counts: a rotor that is faster leaps."""
@@ -40,23 +43,47 @@ def fastest(durations: Array) -> float:
 
     `durations` (revolutions, cells) as in `orders.LoopRipple`.
     """
+    return 1 / max(float(_smooth(durations).min()), 1 / LEAP)
+
+
+def slowest(durations: Array) -> float:
+    """Return the lowest speed around the turn over its mean, as `fastest`.
+
+    `durations` (revolutions, cells) as in `orders.LoopRipple`.
+    """
+    return 1 / float(_smooth(durations).max())
+
+
+def _smooth(durations: Array) -> Array:
+    """Return the mean time for each cell over its mean (cells,), by its orders up to
+    `SPEED_ORDERS`."""
     mean = durations.mean(axis=0)
     slow = np.fft.rfft(mean / mean.mean())
     slow[SPEED_ORDERS + 1 :] = 0.0
-    return 1 / max(float(np.fft.irfft(slow, mean.size).min()), 1 / LEAP)
+    return np.fft.irfft(slow, mean.size)
 
 
-def friction_changes(speed: Array, friction: Array) -> Array:
+def friction_changes(speed: Array, friction: Array, lowest: float) -> Array:
     """Return the standard change of friction, N m, with the relative change of each speed (n,).
 
     Between two others of these rising speeds its slope is taken as up to the steeper of those to
     them, which holds for a friction (n,), N m, that bends one way. At the ends nothing shows it:
     from all of the friction more, as viscous friction rises, to as much less, as that of a mixed
-    lubrication falls, a rectangular distribution.
+    lubrication falls, a rectangular distribution. At the slowest of three speeds or more, what
+    friction is off the line through the others is how much there is of a mixed lubrication's.
+    That is f exp(-(v/v_s)^2) at most, f all friction: a part q of f at this speed is q^(w^2) at the
+    part w of it, and the mean slope down to the `lowest` part of the speed is the change.
     """
     changes: Array = np.abs(friction) / np.sqrt(3)
+    if speed.size < 3:
+        return changes
     slopes = np.abs(np.diff(friction) / np.diff(speed))
-    changes[1:-1] = (np.maximum(slopes[1:], slopes[:-1]) * speed[1:-1])[: max(speed.size - 2, 0)]
+    changes[1:-1] = np.maximum(slopes[1:], slopes[:-1]) * speed[1:-1]
+    line, least = np.polyfit(speed[1:], friction[1:], 1), min(lowest, NEARLY_EVEN)
+    off = float(friction[0] - np.polyval(line, speed[0])) / max(abs(float(friction[0])), TINY)
+    part = min(max(abs(off), TINY), 1.0)
+    mixed = abs(float(friction[0])) * (part**least**2 - part) / (1 - least)
+    changes[0] = min(abs(float(line[0])) * speed[0] + mixed, changes[0])
     return changes
 
 

@@ -13,8 +13,9 @@ from rigtool.experiments.ripple.procedure import _friction_changes, _shaking_not
 from rigtool.experiments.ripple.procedure_steady import collected, steady_samples
 from rigtool.experiments.ripple.results import steps_note
 from rigtool.experiments.ripple.shared_scatter import shared_floor
+from rigtool.quantity import Quantity
 from rigtool.recipe import load_recipe, override_recipe
-from rigtool.runfile import open_run
+from rigtool.runfile import Column, RunWriter, Table, open_run
 from tests.experiments.virtual_runs import (
     QUIET,
     RECIPE,
@@ -378,6 +379,29 @@ def test_friction_that_changes_with_the_speed_is_part_of_u(folder, kt):
     assert not any("varies the speed" in note for note in outcome.notes)
 
 
+def test_an_amplifier_off_its_line_is_part_of_u_and_noted(measured, folder):
+    levels = np.linspace(0.0, 4.0, 11)
+    columns = {
+        "current_setpoint": Column(levels, "A"),
+        "deviation": Column(2e-3 * np.cos(2.2 * np.arange(levels.size)), "A"),
+    }
+    results = {
+        "torque_constant_mean": Quantity(TORQUE_CONSTANT, "N m/A", 0.0),
+        "amplifier_linearity": Quantity(2e-3, "A", 1e-5),
+    }
+    table = Table(("current_setpoint",), columns, "deviation", "DC linearity")
+    path = folder / "bent.h5"
+    with RunWriter(path, command="calibrate-kt") as writer:
+        writer.finish(results, {"linearity": table})
+    with open_run(measured[0]) as stored, open_run(path) as constant:
+        outcome = fft_ripple.analyse([stored], stored.recipe, kt=constant)
+    plain = measured[1].tables["power_spectrum"]["u"][0, :6]
+    more = outcome.tables["power_spectrum"]["u"][0, :6] - plain
+    assert (more > 0.05 * 2e-3 * TORQUE_CONSTANT).all()
+    assert any("the amplifier is not linear" in note for note in outcome.notes)
+    assert not any("the amplifier is not linear" in note for note in measured[1].notes)
+
+
 def test_friction_is_the_mean_torque_without_the_constant_one():
     """Of one speed that without a constant torque counts, whichever comes first."""
 
@@ -388,10 +412,23 @@ def test_friction_is_the_mean_torque_without_the_constant_one():
     recorded = [turning(2.0), turning(4.0), turning(1.0, torque=0.1), turning(1.0), turning(8.0)]
     for last in (recorded[:4], recorded):
         means = [3e-3, 5e-3, 0.104, 2e-3, 6e-3][: len(last)]
-        changes = _friction_changes(last, means)
-        alone = _friction_changes(last[:2] + last[3:], means[:2] + means[3:])
+        even = [0.9] * len(last)
+        changes = _friction_changes(last, means, even)
+        alone = _friction_changes(last[:2] + last[3:], means[:2] + means[3:], even[1:])
         assert changes[:2] + changes[3:] == alone
-        assert changes[2] == changes[3] == pytest.approx(2e-3 / math.sqrt(3))
+        assert changes[2] == changes[3] <= 2.001e-3 / math.sqrt(3)
         assert changes[0] == pytest.approx(1e-3 * 2.0)
-    only = _friction_changes(recorded[2:3] + recorded[:1], [0.104, 3e-3])
+    only = _friction_changes(recorded[2:3] + recorded[:1], [0.104, 3e-3], [0.9, 0.9])
     assert only[0] == pytest.approx(4e-3 / math.sqrt(3))
+
+
+def test_the_slowest_place_of_the_recordings_at_the_slowest_speed_counts():
+    conditions = [{"speed": v} for v in (1.0, 2.0, 4.0, 1.0)]
+    recorded = [SimpleNamespace(conditions=c, condition=c.__getitem__) for c in conditions]
+    means = [3.02e-3, 3e-3, 3.1e-3, 3.02e-3]
+    alike, slower, other = (
+        _friction_changes(recorded, means, lowest)[0]
+        for lowest in ([0.9, 0.9, 0.9, 0.9], [0.9, 0.9, 0.9, 0.4], [0.9, 0.4, 0.9, 0.9])
+    )
+    assert slower > 1.5 * alike
+    assert other == alike

@@ -37,7 +37,9 @@ def ripple(amplitudes, turns, noise=1e-4, seed=1):
     rng = np.random.default_rng(seed)
     wave = sum(a * np.cos(k * ANGLE + 0.3 * k) for k, a in amplitudes.items())
     torque = wave + noise * rng.standard_normal((turns, POSITIONS))
-    return LoopRipple(torque, FINE, np.ones_like(torque), np.zeros(HIGHEST_ORDER), 0.0)
+    return LoopRipple(
+        torque, FINE, np.ones_like(torque), np.zeros(HIGHEST_ORDER), 0.0, np.zeros(HIGHEST_ORDER)
+    )
 
 
 def moved(own, recipe, speed):
@@ -65,6 +67,7 @@ def stored():
     speeds = [2 * math.pi * n for n in (0.5, 6.31)]  # no whole number of counts a sample
     made = [ripple({2: 2e-3, 7: 0.5e-3}, 12), ripple({2: 1e-3, 7: 0.5e-3}, 11, seed=2)]
     made = [moved(own, recipe, v) for own, v in zip(made, speeds, strict=True)]
+    made[0] = replace(made[0], distorted=np.full(HIGHEST_ORDER, 2e-5))
     recordings = [
         SimpleNamespace(name=str(n), condition=lambda name, v=v: v) for n, v in enumerate(speeds)
     ]
@@ -107,6 +110,7 @@ def test_orders_are_those_of_the_motor_with_a_budget_each(stored):
                     2 * (len(own.waveforms) - 1),
                 ),
                 error_line("T", amplitude * abs(1 - response[k - 1]) * INERTIA_U, "N m"),
+                error_line("amplifier", own.distorted[k - 1], "N m"),
                 error_line("speed", uneven_orders(own, HIGHEST_ORDER)[k - 1], "N m"),
                 error_line(
                     "constant", amplitude * constant.u / constant.value, "N m", constant.dof

@@ -10,6 +10,7 @@ from rigtool.experiments.ripple.varying_speed import (
     fastest,
     friction_changes,
     motor_orders,
+    slowest,
     speed_variation,
     uneven_orders,
 )
@@ -28,7 +29,9 @@ def durations(speed):
 
 def accelerating(durations, sampling=FINE, width=1):
     """Return the orders that accelerate the inertia: without torque, those of the ripple less."""
-    still = LoopRipple(np.zeros_like(durations), sampling, durations, np.zeros(ORDERS), 0.0)
+    still = LoopRipple(
+        np.zeros_like(durations), sampling, durations, np.zeros(ORDERS), 0.0, np.zeros(ORDERS)
+    )
     asked, found = motor_orders(still, INERTIA, np.ones(ORDERS, complex), width)
     assert not asked.any()
     return -found
@@ -74,7 +77,7 @@ def test_torque_counts_by_the_time_that_it_acts_and_turns_to_when_it_does():
     taken = np.tile([1e-3, 3e-3], (2, CELLS // 2))
     for width in (1, 2):
         torque = np.tile(wave * np.sinc(3 / CELLS), (2, 1))
-        own = LoopRipple(torque, FINE, taken, np.zeros(ORDERS), 0.0)
+        own = LoopRipple(torque, FINE, taken, np.zeros(ORDERS), 0.0, np.zeros(ORDERS))
         asked, _ = motor_orders(own, INERTIA, turned, width)
         assert_allclose(asked[:, 2], np.exp(-0.3j), rtol=2e-3)
         assert np.abs(np.delete(asked, 2, axis=1)).max() < 1e-3
@@ -108,17 +111,49 @@ def test_friction_changes_by_the_steeper_slope_to_the_speeds_around_and_at_the_e
     speed, friction = np.array([1.0, 2.0, 6.0, 8.0]), np.array([3.0, 5.0, 3.0, 5.0]) * 1e-3
     ends = 3e-3 / np.sqrt(3), 5e-3 / np.sqrt(3)
     for sign in (1, -1):
-        found = friction_changes(speed, sign * friction)
+        found = friction_changes(speed, sign * friction, 0.9)
         assert_allclose(found, [ends[0], 2e-3 * 2.0, 1e-3 * 6.0, ends[1]])
     for few in (1, 2):
-        assert_allclose(friction_changes(speed[:few], friction[:few]), friction[:few] / np.sqrt(3))
+        found = friction_changes(speed[:few], friction[:few], 0.9)
+        assert_allclose(found, friction[:few] / np.sqrt(3))
+
+
+def test_viscous_friction_shows_that_none_of_a_mixed_lubrication_is_left():
+    speed = np.array([1.0, 4.0, 9.0, 20.0])
+    found = friction_changes(speed, 2e-3 + 1e-4 * speed, 0.9)
+    assert found[0] == pytest.approx(1e-4, rel=1e-3)
+
+
+@pytest.mark.parametrize("velocity", [0.3, 0.5, 0.8, 1.2])
+@pytest.mark.parametrize("lowest", [0.4, 0.7, 1.0])
+def test_friction_of_a_mixed_lubrication_changes_by_no_more(velocity, lowest):
+    """Of as much more friction at rest as there is of the other."""
+
+    def friction(v):
+        return 2e-3 + 2e-3 * np.exp(-((v / velocity) ** 2)) + 2e-5 * v
+
+    speed = np.array([1.0, 4.0, 9.0, 20.0])
+    found = friction_changes(speed, friction(speed), lowest)[0]
+    low = min(lowest, 0.999)
+    change = abs(friction(low) - friction(1.0)) / (1 - low)
+    assert change <= np.sqrt(3) * found
+    if velocity == 0.3 and lowest == 1.0:
+        assert found < 0.1 * 2e-3
+
+
+def test_the_lowest_speed_is_that_of_the_slowest_place():
+    assert slowest(durations(9 * (1 + 0.3 * np.cos(3 * ANGLE)))) == pytest.approx(
+        0.7 / np.sqrt(1 - 0.3**2), rel=0.01
+    )
 
 
 def test_torque_changes_with_an_uneven_speed_as_friction_and_ripple_may():
     """A speed of 1 + 0.1 cos 3 angle: friction in order 3; ripple of order 8 in 5 and 11."""
     taken = np.repeat(durations(9 * (1 + 0.1 * np.cos(3 * ANGLE))), 2, axis=0)
     wave = np.cos(8 * (np.arange(CELLS) + 0.5) * 2 * np.pi / CELLS)
-    own = LoopRipple(np.tile(2e-3 * wave, (2, 1)), FINE, taken, np.zeros(ORDERS), 1e-3)
+    own = LoopRipple(
+        np.tile(2e-3 * wave, (2, 1)), FINE, taken, np.zeros(ORDERS), 1e-3, np.zeros(ORDERS)
+    )
     found = uneven_orders(own, ORDERS)
     mean = np.sqrt(1 - 0.1**2)  # of the speed over time
     assert found[2] == pytest.approx(1e-3 * 0.1 / mean, rel=2e-3)
