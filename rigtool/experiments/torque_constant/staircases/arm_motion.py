@@ -275,7 +275,9 @@ def _slide_all(
                 slid = max(1.0 - way * ratio[k], 0.0)
                 ratio[k] = 1.0 / (1.0 + way) if exponent[k] == 1.0 else slid
             for k in range(count):
-                slope[k] *= max(1.0 - exponent[k] * (1.0 - ratio[k]), 0.0)
+                less = max(1.0 - exponent[k] * (1.0 - ratio[k]), 0.0)
+                # Contacts that slide keep what they have: without any, columns would be singular.
+                slope[k] *= less if left[k] > TINY else 1.0
             for k in range(count):
                 z[k] = math.copysign(1.0, speed[k]) * (1.0 - left[k] * ratio[k])
         for k in range(count):

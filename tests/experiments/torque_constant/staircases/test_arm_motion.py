@@ -52,7 +52,7 @@ def test_what_is_kept_of_friction_before_is_its_derivative(exponent, asymmetry):
 
 
 def test_friction_of_many_hypotheses_is_that_of_each():
-    """Brittle contacts slide within a step here, so that nothing is kept of what was before."""
+    """Brittle contacts slide here: little is kept of what was before, yet never nothing."""
     exponent = np.array([[0.5], [0.7], [1.0], [1.6], [2.0]])
     transition = np.array([[0.004], [0.02], [0.004], [0.02], [0.1]])
     state = np.linspace(0.2, 1, 5)[:, None, None] * CONTACTS.state
@@ -63,7 +63,7 @@ def test_friction_of_many_hypotheses_is_that_of_each():
         for z, s, i in zip(state, transition[:, 0], exponent[:, 0], strict=True)
     ]
     assert_allclose(found, np.stack(alone, axis=1), atol=1e-12)
-    assert found[1, 0, 0, -1] < 1e-100 < found[1, 4, 0, -1]
+    assert 1e-20 < found[1, 0, 0, -1] < 1e-10 < found[1, 4, 0, -1]
 
 
 @pytest.mark.parametrize(("exponent", "asymmetry"), [(0.7, 0.0), (1.0, -0.2), (1.6, 0.2)])
