@@ -25,6 +25,7 @@ if __name__ == "coverage":
 
 import argparse
 import json
+import os
 import re
 import sys
 from collections import Counter
@@ -33,6 +34,9 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
+
+# As the command line: a rig on each core, and threads of a small matrix only wait for each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from designs import DESIGNS, group

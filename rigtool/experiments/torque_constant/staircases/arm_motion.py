@@ -20,14 +20,16 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rigtool.experiments.torque_constant.staircases.swings import (
     LARGEST_DAMPING,
     Courses,
     longest_lag,
 )
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 from rigtool.numerics.compiled import compiled
+from rigtool.numerics.powers import raise_to
 
 FINEST_ANGLE = 0.1
 """Angle of the arm's oscillation in one step of the integration, rad."""
@@ -88,7 +90,10 @@ class Arm:
     def swings(self, courses: Courses, contacts: Contacts) -> Array:
         """Return the swings (g, p, c) of (1) about where the arm comes to rest, N m."""
         swings: Array = np.empty(courses.course.shape)
-        self._motion(courses, contacts, swings)
+        drive, step = courses.torque + contacts.torque(), courses.part / self.steps
+        first = np.stack([courses.torque[:, 0], contacts.state[:, 0]])
+        law = contacts.level, contacts.transition, contacts.exponent, contacts.asymmetry
+        _swing(drive, step, self.steps, (self.frequency, self.lag), law, first, swings)
         settled = swings[:, :, courses.course.shape[2] // 2 :]
         swings -= settled.mean(axis=2, keepdims=True)
         return swings
@@ -96,34 +101,32 @@ class Arm:
     def friction_state(self, courses: Courses, contacts: Contacts) -> tuple[Array, Array]:
         """Return a and b (..., g, p) of friction z (1 + A z) = a + b h after each plateau, where h
         is that before the first."""
-        torque = np.empty((0, *courses.course.shape[1:]))
-        state, kept = self._motion(courses, contacts, torque)
+        state, kept = self._slide(courses, contacts)
         first, asymmetry = contacts.state[..., :1], contacts.asymmetry
         friction, kept = one_sided(state, kept, asymmetry)
         before, change = one_sided(first, np.ones(first.shape), asymmetry)
         return friction - kept / change * before, kept / change
 
-    def _motion(self, courses: Courses, contacts: Contacts, torque: Array) -> tuple[Array, Array]:
-        """Return states of friction (..., g, p) and dz/dz0 (..., g, p); write the torques (g, p, c)
-        N m where there is room for them."""
+    def _slide(self, courses: Courses, contacts: Contacts) -> tuple[Array, Array]:
+        """Return states of friction (..., g, p) after each plateau and dz/dz0 (..., g, p)."""
         drive = courses.torque + contacts.torque()
         laws = np.empty((3, *drive.shape[:-1]))
         laws[0], laws[1], laws[2] = contacts.level, contacts.transition, contacts.exponent
         step, still = np.empty((2, *drive.shape))
         step[:], still[:] = courses.part / self.steps, courses.torque
-        moves = np.zeros((5, laws[0].size))
-        moves[0], moves[1] = still[..., 0].ravel(), contacts.state[..., 0].ravel()
-        moves[3] = 1.0
+        lanes = np.zeros((LANES, laws[0].size))
+        lanes[0], lanes[1] = still[..., 0].ravel(), contacts.state[..., 0].ravel()
+        lanes[3] = 1.0
         state, kept = np.empty((2, *drive.shape))
         flat = -1, drive.shape[-1]
-        _move(
+        _slide_all(
             drive.reshape(flat),
             step.reshape(flat),
-            self.steps,
+            self.steps * courses.course.shape[2],
             (self.frequency, self.lag, contacts.asymmetry),
             laws.reshape(3, -1),
-            moves,
-            torque,
+            lanes,
+            lanes.view(np.uint64),
             state.reshape(flat),
             kept.reshape(flat),
         )
@@ -174,54 +177,108 @@ def arm_of(courses: Courses, contacts: Contacts) -> Arm | None:
 
 
 @compiled
-def _move(
+def _swing(
+    drive: Array,
+    step: Array,
+    steps: int,
+    arm: tuple[float, float],
+    law: tuple[float, float, float, float],
+    first: Array,
+    torque: Array,
+) -> None:
+    """Move g arms under motor torques (g, p) N m by (1) and write the gauge's `torque` (g, p, c)
+    N m.
+
+    `step` (g, p) s is that of the integration, `steps` to a value of the course; `arm` is w and l,
+    `law` f, s, i and A, `first` (2, g) x and z. The damping acts with the mean of the speeds before
+    and after (leapfrog: Hairer, Lubich and Wanner, Geometric Numerical Integration, 2006,
+    section I.1).
+    """
+    frequency, lag = arm
+    level, transition, exponent, asymmetry = law
+    for g in range(len(drive)):
+        x, z, speed = first[0, g], first[1, g], 0.0
+        for j in range(drive.shape[1]):
+            push = frequency * frequency * step[g, j]
+            drag = push * lag / 2.0
+            for part in range(torque.shape[2]):
+                total = 0.0
+                for _ in range(steps):
+                    before = speed
+                    pull = drive[g, j] - x - level * z * (1.0 + asymmetry * z)
+                    speed = ((1.0 - drag) * before + push * pull) / (1.0 + drag)
+                    way = speed * step[g, j]
+                    total += x + lag * (before + speed) / 2.0
+                    x += way
+                    side = math.copysign(1.0, way)
+                    left = 1.0 - side * z
+                    if left > 0.0:
+                        way = abs(way) / transition
+                        if exponent == 1.0:
+                            ratio = 1.0 / (1.0 + way)
+                        else:
+                            ratio = max(1.0 - way * left ** (exponent - 1.0), 0.0)
+                        z = side * (1.0 - left * ratio)
+                torque[g, j, part] = total / steps
+
+
+LANES = 12
+"""Numbers that each arm has in `_slide_all`."""
+
+
+@compiled
+def _slide_all(
     drive: Array,
     step: Array,
     steps: int,
     arm: tuple[float, float, float],
     contacts: Array,
-    moves: Array,
-    torque: Array,
+    lanes: Array,
+    bits: NDArray[np.uint64],
     state: Array,
     kept: Array,
 ) -> None:
-    """Move k arms side by side under motor torques (k, p) N m by (1) and write the gauge's `torque`
-    (k, p, c) N m, or none (0, p, c), the `state` z (k, p) of friction after each plateau and its
-    derivative `kept` (k, p) at z0.
+    """Move k arms side by side, each as in `_swing`, and write the `state` z (k, p) of friction
+    after each plateau and its derivative `kept` (k, p) at z0.
 
-    `step` (k, p) s is that of the integration, `steps` to a value of the course; `arm` is w, l and
-    A, `contacts` (3, k) f, s and i of each, `moves` (5, k) its x, z, speed, dz/dz0 and 0. The
-    damping acts with the mean of the speeds before and after (leapfrog: Hairer, Lubich and Wanner,
-    Geometric Numerical Integration, 2006, section I.1). A step of one arm waits for the one before,
-    but not for those of others.
+    `steps` are those of a plateau; `arm` is w, l and A, `contacts` (3, k) f, s and i of each. The
+    first `lanes` (12, k) are x, z, speed and dz/dz0, the others room; `bits` is their memory. Loops
+    that write to one array run several arms at a time.
     """
     frequency, lag, asymmetry = arm
-    level, transition, exponent = contacts
-    x, z, speed, slope, total = moves
+    level, transition, exponent = contacts[0], contacts[1], contacts[2]
+    x, z, speed, slope = lanes[0], lanes[1], lanes[2], lanes[3]
+    left, ratio, spare, curved = lanes[4], lanes[5], lanes[6], lanes[7]
+    coast, push, pull, time = lanes[8], lanes[9], lanes[10], lanes[11]
+    count = len(x)
+    for k in range(count):
+        curved[k] = exponent[k] - 1.0
     for j in range(drive.shape[1]):
-        for part in range(torque.shape[2]):
-            for _ in range(steps):
-                for k in range(len(x)):
-                    push = frequency * frequency * step[k, j]
-                    drag = push * lag / 2.0
-                    before = speed[k]
-                    friction = level[k] * z[k] * (1.0 + asymmetry * z[k])
-                    pull = drive[k, j] - x[k] - friction
-                    speed[k] = ((1.0 - drag) * before + push * pull) / (1.0 + drag)
-                    way = speed[k] * step[k, j]
-                    total[k] += x[k] + lag * (before + speed[k]) / 2.0
-                    x[k] += way
-                    side = math.copysign(1.0, way)
-                    left = 1.0 - side * z[k]
-                    if left > 0.0:
-                        way = abs(way) / transition[k]
-                        if exponent[k] == 1.0:
-                            ratio = 1.0 / (1.0 + way)
-                        else:
-                            ratio = max(1.0 - way * left ** (exponent[k] - 1.0), 0.0)
-                        slope[k] *= max(1.0 - exponent[k] * (1.0 - ratio), 0.0)
-                        z[k] = side * (1.0 - left * ratio)
-            for k in range(len(torque)):
-                torque[k, j, part], total[k] = total[k] / steps, 0.0
-        for k in range(len(x)):
+        for k in range(count):
+            time[k], pull[k] = step[k, j], drive[k, j]
+            whole = frequency * frequency * step[k, j]
+            drag = whole * lag / 2.0
+            coast[k], push[k] = (1.0 - drag) / (1.0 + drag), whole / (1.0 + drag)
+        for _ in range(steps):
+            for k in range(count):
+                friction = level[k] * z[k] * (1.0 + asymmetry * z[k])
+                speed[k] = coast[k] * speed[k] + push[k] * (pull[k] - x[k] - friction)
+            for k in range(count):
+                x[k] += speed[k] * time[k]
+            for k in range(count):
+                left[k] = max(1.0 - math.copysign(1.0, speed[k]) * z[k], TINY)
+            for k in range(count):
+                ratio[k] = left[k]
+            raise_to(ratio, bits[5], curved, spare)
+            for k in range(count):
+                way = abs(speed[k]) * time[k] / transition[k]
+                slid = max(1.0 - way * ratio[k], 0.0)
+                ratio[k] = 1.0 / (1.0 + way) if exponent[k] == 1.0 else slid
+            for k in range(count):
+                less = max(1.0 - exponent[k] * (1.0 - ratio[k]), 0.0)
+                # Contacts that slide keep what they have: without any, columns would be singular.
+                slope[k] *= less if left[k] > TINY else 1.0
+            for k in range(count):
+                z[k] = math.copysign(1.0, speed[k]) * (1.0 - left[k] * ratio[k])
+        for k in range(count):
             state[k, j], kept[k, j] = z[k], slope[k]

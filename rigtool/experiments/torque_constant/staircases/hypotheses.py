@@ -77,6 +77,14 @@ NODES = ((0.0, 2 / 3), (-math.sqrt(3), 1 / 6), (math.sqrt(3), 1 / 6))
 it is normal about that (Gauss and Hermite; J. C. Naylor, A. F. M. Smith, Appl. Statist. 31(3), 214,
 1982)."""
 
+NEGLIGIBLE, MARGIN = 1e-9, 3.5
+"""Likelihood relative to the largest below which a transition s over the exponent is not tried
+again, as friction's asymmetry and the arm become better known, and steps of the grid around it in
+which it is."""
+
+ANY = (-math.inf, math.inf)
+"""Range of logarithms without bounds."""
+
 SHORTER_LAG = 12.0
 """Ratio of the longest lag of the arm's swings to the shortest."""
 
@@ -135,15 +143,15 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
             "degree of freedom to the fit: use more steps"
         )
     every, doubt = ways_of(stairs), 0.0
-    best = _joined([_search(means, way, 0) for way in every]).best(FEWEST_RESIDUALS)
+    tried, lengths = _joined([_search(means, way, 0) for way in every]), ANY
+    best = tried.best(FEWEST_RESIDUALS)
     ways = _find_arm(means, stairs, best, every)
     for _ in range(ASYMMETRIES if means.arm is not None else 0):
-        best = _joined([_search(means, way, FINER_GRIDS - 1) for way in ways]).best(
-            FEWEST_RESIDUALS
-        )
+        tried = _joined([_search(means, way, FINER_GRIDS - 1, lengths) for way in ways])
+        best, lengths = tried.best(FEWEST_RESIDUALS), _likely(means, tried)
         doubt = means.find_asymmetry(best)
         ways = _find_arm(means, stairs, best, every)
-    found = weighed(means, ways, doubt)
+    found = weighed(means, ways, doubt, lengths)
     means.move_arm(found.best)
     probable = found.probable()
     mean = probable @ found.slope
@@ -164,14 +172,17 @@ def _find_arm(
 
 
 def weighed(
-    means: MeanStaircases, ways: list[tuple[float, float] | None], doubt: float = 0.0
+    means: MeanStaircases,
+    ways: list[tuple[float, float] | None],
+    doubt: float = 0.0,
+    lengths: tuple[float, float] = ANY,
 ) -> Weighed:
     """Return all hypotheses, along paths of these lags, with several asymmetries of friction where
-    `doubt`, its standard uncertainty, is not 0."""
+    `doubt`, its standard uncertainty, is not 0; `lengths` as in `_search`."""
     centre, parts = means.asymmetry, []
     for place, share in NODES if doubt else NODES[:1]:
         means.asymmetry = centre + place * doubt
-        part = _joined([_search(means, way, FINER_GRIDS) for way in ways])
+        part = _joined([_search(means, way, FINER_GRIDS, lengths) for way in ways])
         beforehand = -((means.asymmetry / ASYMMETRY) ** 2) / 2
         part.volume[:] *= share * math.exp(beforehand + place**2 / 2)
         parts.append(part)
@@ -235,8 +246,25 @@ def ways_of(stairs: Stairs) -> list[tuple[float, float] | None]:
     return [(fastest, fastest), None]
 
 
-def _search(means: MeanStaircases, lag: tuple[float, float] | None, finer: int) -> _Tried:
-    """Try hypotheses with lags of this range on a coarse grid, and on so many finer ones."""
+def _likely(means: MeanStaircases, tried: _Tried) -> tuple[float, float]:
+    """Return the range of likely logarithms of s over the exponent."""
+    count = max(means.independent(tried.best(FEWEST_RESIDUALS)), FEWEST_RESIDUALS)
+    square = tried.square.min(axis=1)
+    length = tried.place[square < square.min() * NEGLIGIBLE ** (-2 / count), 0]
+    return float(length.min()), float(length.max())
+
+
+def _search(
+    means: MeanStaircases,
+    lag: tuple[float, float] | None,
+    finer: int,
+    lengths: tuple[float, float] = ANY,
+) -> _Tried:
+    """Try hypotheses with lags of this range on a coarse grid, and on so many finer ones.
+
+    The coarse grid has logarithms of s over the exponent in the range `lengths` and about it; or
+    all, where the best of these are at an edge.
+    """
     low, high = _ranges(means, lag)
     centre, half, wide = (low + high) / 2, (high - low) / 2, high > low
     found: list[_Tried] = []
@@ -248,16 +276,21 @@ def _search(means: MeanStaircases, lag: tuple[float, float] | None, finer: int) 
         numbers = [n if e > b else 1 for n, b, e in zip(counts, begin, end, strict=False)]
         axes = [np.linspace(b, e, n) for b, e, n in zip(begin, end, numbers, strict=True)]
         step = (end - begin) / np.maximum(np.array(numbers) - 1, 1)
+        if not level:
+            before, beyond = (axes[0] - lengths[0]) / step[0], (axes[0] - lengths[1]) / step[0]
+            axes[0] = axes[0][(before > -MARGIN) & (beyond < MARGIN)]
         for part in found:  # the finer grid stands for its part of the coarse one
             before = part.place[:, : len(begin)]
             part.volume[np.all((before >= begin) & (before <= end), axis=1)] = 0.0
-        place = np.full((math.prod(numbers), 4), np.nan)
+        place = np.full((math.prod(map(len, axes)), 4), np.nan)
         place[:, : len(axes)] = list(product(*axes))
         volume = np.full(len(place), np.prod(step[wide] / (high - low)[wide]))
         warms = means.winding.of(place[:, TAU])
         found.append(_Tried(place, volume, warms, *means.try_all(axes)))
         best = int(np.argmin(found[-1].square.min(axis=1)))
         centre, half = place[best, : len(axes)], 1.5 * step
+        if not level and centre[0] in axes[0][[0, -1]] and low[0] < centre[0] < high[0]:
+            return _search(means, lag, finer)
     return _joined(found)
 
 

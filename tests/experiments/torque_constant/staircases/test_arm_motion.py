@@ -51,6 +51,21 @@ def test_what_is_kept_of_friction_before_is_its_derivative(exponent, asymmetry):
     assert 0.05 < kept[1] < 0.9
 
 
+def test_friction_of_many_hypotheses_is_that_of_each():
+    """Brittle contacts slide here: little is kept of what was before, yet never nothing."""
+    exponent = np.array([[0.5], [0.7], [1.0], [1.6], [2.0]])
+    transition = np.array([[0.004], [0.02], [0.004], [0.02], [0.1]])
+    state = np.linspace(0.2, 1, 5)[:, None, None] * CONTACTS.state
+    many = Contacts(np.full((5, 1), 6e-3), state, transition, exponent, asymmetry=0.1)
+    found = np.stack(ARM.friction_state(staircase(), many))
+    alone = [
+        ARM.friction_state(staircase(), Contacts(6e-3, z, float(s), float(i), 0.1))
+        for z, s, i in zip(state, transition[:, 0], exponent[:, 0], strict=True)
+    ]
+    assert_allclose(found, np.stack(alone, axis=1), atol=1e-12)
+    assert 1e-20 < found[1, 0, 0, -1] < 1e-10 < found[1, 4, 0, -1]
+
+
 @pytest.mark.parametrize(("exponent", "asymmetry"), [(0.7, 0.0), (1.0, -0.2), (1.6, 0.2)])
 def test_swings_and_friction_are_those_of_the_equation_of_motion(exponent, asymmetry):
     """By scipy's integrator, plateau by plateau."""

@@ -10,6 +10,7 @@ from rigtool.experiments.torque_constant.staircases import hypotheses
 from rigtool.experiments.torque_constant.staircases.fit import fit_staircases
 from rigtool.experiments.torque_constant.staircases.hypotheses import (
     Weighed,
+    _likely,
     _ranges,
     _search,
     weigh_hypotheses,
@@ -92,6 +93,36 @@ def test_finer_grids_stand_for_their_part_of_the_coarse_one(part):
     spans = np.array([np.ptp(place[:, 0]) for place in bell.places])
     assert (spans[1:] <= spans[:-1] * 0.5).all()  # each covers the best of the one before
     assert np.ptp(bell.places[-1][:, 1]) == pytest.approx(high[1] - low[1])  # all of tau again
+
+
+@pytest.mark.parametrize(("near", "grids"), [(0.0, [13, 9, 9]), (-2.0, [12, 32, 9, 9])])
+def test_friction_that_was_improbable_is_not_tried_again(near, grids):
+    """All of it is, where the best is at an edge of what was probable."""
+    bell = Bell(np.array([-2.0, 3.0, 0.0]), 0.5)
+    every = _search(bell, None, 2)
+    bell.places.clear()
+    some = _search(bell, None, 2, (near - 2.5, near - 1.5))
+    assert [len(np.unique(place[:, 0])) for place in bell.places] == grids
+    assert vars(some.best(30.0)) == vars(every.best(30.0))
+    means = [
+        one.volume
+        @ (one.place * np.exp(-one.square[:, :1] / 2))[:, :3]
+        / (one.volume @ np.exp(-one.square[:, 0] / 2))
+        for one in (some, every)
+    ]
+    np.testing.assert_allclose(*means, atol=2e-3)
+
+
+def test_what_is_likely_depends_on_how_much_the_staircases_show():
+    bell = Bell(np.array([-2.0, 3.0, 0.0]), 0.5)
+    tried = _search(bell, None, 2)
+    spans = []
+    for count in (10.0, 40.0):
+        bell.independent = lambda common, count=count: count
+        low, high = _likely(bell, tried)
+        assert low < -2 < high
+        spans.append(high - low)
+    assert spans[0] > 1.2 * spans[1] > 0
 
 
 def test_a_single_lag_is_not_searched():
