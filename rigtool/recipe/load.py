@@ -175,11 +175,9 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
         raise RecipeError(f"{name}: a line has more than {MAX_DOTS} dots: divide it")
     try:
         data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise RecipeError(f"{name}: is not valid TOML: {error}") from None
     except RecursionError:
         raise RecipeError(f"{name}: is nested more than {MAX_DEPTH} deep: flatten it") from None
-    except ValueError as error:  # an integer with more digits than Python reads
+    except ValueError as error:  # also for an integer with more digits than Python reads
         raise RecipeError(f"{name}: is not valid TOML: {error}") from None
     waiting: list[tuple[Any, int]] = [(data, 0)]
     while waiting:

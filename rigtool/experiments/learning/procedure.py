@@ -70,27 +70,13 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
     return _implementation(recipe).recordings(recipe)
 
 
-def measure(
-    rig: Rig,
-    recipe: Recipe,
-    recorder: RunWriter,
-    *,
-    kt: Run,
-    friction: Run | None = None,
-    plant: Run | None = None,
-) -> None:
+def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, **inputs: Run) -> None:
     """Learn, and record the remainder with the learned table switched on."""
-    _implementation(recipe).measure(rig, recipe, recorder, kt=kt, friction=friction, plant=plant)
+    _implementation(recipe).measure(rig, recipe, recorder, **inputs)
 
 
 def analyse(
-    runs: Sequence[Run],
-    recipe: Recipe,
-    *,
-    kt: Run,
-    friction: Run | None = None,
-    plant: Run | None = None,
-    prior: Run | None = None,
+    runs: Sequence[Run], recipe: Recipe, *, kt: Run, prior: Run | None = None, **inputs: Run
 ) -> Outcome:
     """Learn from the stored signals, and report the remainder.
 
@@ -98,7 +84,7 @@ def analyse(
     """
     if prior is not None:
         raise UsageError("--prior: is for imported runs, the bench's own rig is learned anew")
-    outcome = _implementation(recipe).analyse(runs, recipe, kt=kt, friction=friction, plant=plant)
+    outcome = _implementation(recipe).analyse(runs, recipe, kt=kt, **inputs)
     return replace(
         outcome, notes=(*outcome.notes, *unsampled_note(runs, torque_per_ampere(kt).value))
     )

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -17,12 +18,16 @@ from rigtool.experiments.suspension.springs import (
     eigenfrequency,
     spring_curve,
 )
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Component, Quantity, combined, error_line
 from rigtool.recipe import Recipe
 from rigtool.recipe.rig import MotorSuspension
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import CurrentSteps
 from rigtool.runfile import Column, RecordingSpec, Run, RunWriter, Table
+
+Torques = Callable[..., tuple[Array, Array]]
+"""`eccentric_torque` of a rig, by angle and `speed`."""
 
 READING_TIME = 0.1
 """Duration of each reading, s."""
@@ -67,10 +72,11 @@ def analyse(runs: Sequence[Run], recipe: Recipe) -> Outcome:
     deflection = np.array([pull.read("deflection").mean() for pull in pulls])
     curve = spring_curve(force, deflection)
     speeds = [2 * math.pi * speed for speed in recipe.suspension.speeds_rev_per_s]
+    torques = _torques(springs, curve.stiffness)
     return Outcome(
         {
             **_stiffness(springs, curve, recipe.rig.weights_relative_u),
-            **_torques(springs, curve, speeds),
+            **_largest(torques, speeds),
         },
         {
             "spring_curve": Table(
@@ -83,7 +89,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe) -> Outcome:
                 "deflection",
                 "Deflection of the leaf springs against force",
             ),
-            "eccentric_torque": _torque_table(springs, curve.stiffness, speeds),
+            "eccentric_torque": _torque_table(torques, speeds),
         },
         (
             "the torques are those of the eccentricities in the recipe, at the measured stiffness; "
@@ -137,22 +143,20 @@ def _stiffness(
     }
 
 
-def _torques(
-    springs: MotorSuspension, curve: SpringCurve, speeds: Sequence[float]
-) -> dict[str, Quantity]:
+def _torques(springs: MotorSuspension, stiffness: float) -> Torques:
+    eccentricity = springs.motor_eccentricity + springs.tool_eccentricity
+    return partial(
+        eccentric_torque, eccentricity=eccentricity, stiffness=stiffness, mass=springs.mass
+    )
+
+
+def _largest(torques: Torques, speeds: Sequence[float]) -> dict[str, Quantity]:
     """Return the largest torque of the springs, and of the mass at the lowest and highest speed."""
     reason = "the uncertainty of the eccentricities is not known"
-    eccentricity = springs.motor_eccentricity + springs.tool_eccentricity
 
     def largest(which: int, speed: float) -> Quantity:
-        torques = eccentric_torque(
-            np.array([math.pi / 4]),
-            eccentricity=eccentricity,
-            stiffness=curve.stiffness,
-            mass=springs.mass,
-            speed=speed,
-        )
-        return Quantity(float(np.abs(torques[which][0])), "N m", reason=reason)
+        torque = torques(np.array([math.pi / 4]), speed=speed)[which]
+        return Quantity(float(np.abs(torque[0])), "N m", reason=reason)
 
     return {
         "eccentric_spring_torque": largest(0, 0.0),
@@ -161,22 +165,16 @@ def _torques(
     }
 
 
-def _torque_table(springs: MotorSuspension, stiffness: float, speeds: Sequence[float]) -> Table:
+def _torque_table(torques: Torques, speeds: Sequence[float]) -> Table:
     angle = np.linspace(0, 2 * math.pi, TORQUE_ANGLES)
-    eccentricity = springs.motor_eccentricity + springs.tool_eccentricity
-    torques = [
-        eccentric_torque(
-            angle, eccentricity=eccentricity, stiffness=stiffness, mass=springs.mass, speed=speed
-        )
-        for speed in speeds
-    ]
+    spring, inertia = zip(*(torques(angle, speed=speed) for speed in speeds), strict=True)
     return Table(
         ("speed", "angle"),
         {
             "speed": Column(speeds, "rad/s", "of the pulleys"),
             "angle": Column(angle, "rad", "of the pulleys"),
-            "spring": Column([t[0] for t in torques], "N m", "of the leaf springs"),
-            "inertia": Column([t[1] for t in torques], "N m", "of the moving mass"),
+            "spring": Column(spring, "N m", "of the leaf springs"),
+            "inertia": Column(inertia, "N m", "of the moving mass"),
         },
         "inertia",
         "Torque of eccentric pulleys",
