@@ -33,8 +33,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from rigtool.experiments.controller_torque import UNEXPLAINED_DISTANCE
+from rigtool.experiments.force_filter.lost_counts import COUNTING_TIME, LEAP_RATIO, Counts
 from rigtool.experiments.force_model.steps import NO_CURRENT
-from rigtool.experiments.force_sensor.lost_counts import COUNTING_TIME, LEAP_RATIO, Counts
 from rigtool.experiments.force_sensor.sensor import SensorProperties
 from rigtool.numerics.arrays import Array, Mask
 
@@ -107,7 +107,7 @@ class SignalWatch:
         self._braked = (plant.coulomb + plant.housing_friction) / 2
         self._helped = reach.torque / plant.torque_factor / 2
         self._turn, self._commanded, self._gain = own.count, commanded, gain
-        self._counts: Counts = Counts(own, 0.0 if before is None else before._counts.lost)
+        self._counts: Counts = own.counts(0.0 if before is None else before._counts.lost)
         self._origin: float = math.nan if before is None else before._origin
         self._constant, self._interval = own.torque_constant, own.interval
         self._size = max(1, round(WINDOW_TIME / own.interval))
