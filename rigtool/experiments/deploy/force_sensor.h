@@ -1549,7 +1549,7 @@ static inline void rs_earlier(
 }
 
 /* Put back what the count leaps by; whether the filter begins anew, after a rest, in which the
- * encoder may have stopped: experiments/force_sensor/lost_counts.py. */
+ * encoder may have stopped: experiments/force_filter/lost_counts.py. */
 static inline int rs_put_back(struct rigtool_sensor *s)
 {
     const rs_real usual = s->x[RS_SPEED] * (rs_model.step_time / rs_model.count);

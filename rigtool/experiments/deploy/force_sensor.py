@@ -19,6 +19,7 @@ from rigtool.experiments.deploy.c_header import comment
 from rigtool.experiments.force_filter import (
     creeping,
     kalman,
+    lost_counts,
     motion_states,
     passed,
     rests,
@@ -29,12 +30,10 @@ from rigtool.experiments.force_model.drive import VISCOUS
 from rigtool.experiments.force_model.steps import LONGEST_EXACT, NO_CURRENT
 from rigtool.experiments.force_sensor import (
     lasting_contact,
-    lost_counts,
     ripple_rows,
     shown_ripple,
 )
 from rigtool.experiments.force_sensor.drawn_ripple import learned_ripple
-from rigtool.experiments.force_sensor.lost_counts import Counts
 from rigtool.experiments.force_sensor.sensor import AT_THE_LIMIT, SensorProperties
 from rigtool.numerics.arrays import Array
 
@@ -104,7 +103,7 @@ def _steps(instrument: SensorProperties) -> dict[str, int]:
         "LIMIT_STEPS": _within(motion_states.LIMIT_TIME, step_time),
         "SPEED_STEPS": _within(motion_states.SPEED_TIME, step_time) - 1,
         "IDLE_STEPS": idle_steps(step_time),
-        "LEAP": int(min(Counts(instrument, interval=step_time).largest_step, INT32 // 2)),
+        "LEAP": int(min(_leap(instrument), INT32 // 2)),
         "COUNTING_STEPS": creeping.steps_of(lost_counts.COUNTING_TIME, step_time),
         "RESTED_STEPS": creeping.steps_of(creeping.RESTED_TIME, step_time),
         "SWUNG_STEPS": creeping.steps_of(creeping.LASTING_TIME, step_time),
@@ -123,6 +122,12 @@ def _steps(instrument: SensorProperties) -> dict[str, int]:
 def _within(span: float, step_time: float) -> int:
     """Return the number of steps in a span of time, s, that ends with a step, included."""
     return 2 * max(1, round(span / step_time / 2)) + 1
+
+
+def _leap(instrument: SensorProperties) -> float:
+    """Return the counts that no rotor moves by in a step."""
+    own = instrument.count, instrument.reach.speed, instrument.grid.step_time
+    return lost_counts.Counts(*own).largest_step
 
 
 def _lasting(left: float, step_time: float) -> int:

@@ -17,7 +17,6 @@ from rigtool.errors import RecipeError
 from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.force_model.steps import LONGEST_EXACT, FilterSteps, unbroken
-from rigtool.experiments.force_sensor.lost_counts import Counts
 from rigtool.experiments.force_sensor.procedure_over_time import model_and_reach, over_time
 from rigtool.experiments.force_sensor.procedure_reading import NEEDED_CHANNELS, instrument_of
 from rigtool.experiments.force_sensor.sensor import Sensor
@@ -54,7 +53,7 @@ class LiveForce:
             )
         model, reach = model_and_reach(tables, kt, recipe)
         self._instrument = instrument_of(recipe, kt, model, reach, interval)
-        self._every, self._counts = every, Counts(self._instrument)
+        self._every, self._counts = every, self._instrument.counts()
         self._last = np.zeros(0)
         self._waiting = np.empty((len(NEEDED_CHANNELS), 0))
         self._begin(0.0)
@@ -63,7 +62,7 @@ class LiveForce:
 
     def _begin(self, time: float) -> None:
         self._sensor = Sensor(self._instrument, context=False)
-        self._counts = Counts(self._instrument, self._counts.lost)
+        self._counts = self._instrument.counts(self._counts.lost)
         self._began, self._steps = time - self._instrument.interval / 2, 0
 
     def __call__(self, block: Mapping[str, Array]) -> dict[str, Array]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from rigtool.experiments.force_filter.creeping import Creeping
 from rigtool.experiments.force_filter.estimate import Estimate, Filter, Signals
 from rigtool.experiments.force_filter.kalman import Uncertainty
+from rigtool.experiments.force_filter.lost_counts import Counts
 from rigtool.experiments.force_filter.motion_states import (
     KIND_COUNT,
     Holding,
@@ -101,6 +102,10 @@ class SensorProperties:
         lacking = (self.creeping_torque * unbent) ** 2 / 3
         hidden = np.where(held, np.minimum(swing, self.held_variance), 0.0)
         return np.maximum(np.maximum(self.open_variances[holding, kinds], lacking), hidden)
+
+    def counts(self, lost: float = 0.0) -> Counts:
+        """Return what puts leaping counts back, in samples of which `lost` are off already."""
+        return Counts(self.count, self.reach.speed, self.interval, lost)
 
     @property
     def farthest_degc(self) -> float:

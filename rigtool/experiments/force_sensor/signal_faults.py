@@ -33,8 +33,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from rigtool.experiments.controller_torque import UNEXPLAINED_DISTANCE
+from rigtool.experiments.force_filter.lost_counts import COUNTING_TIME, LEAP_RATIO, Counts
 from rigtool.experiments.force_model.steps import NO_CURRENT
-from rigtool.experiments.force_sensor.lost_counts import COUNTING_TIME, LEAP_RATIO, Counts
 from rigtool.experiments.force_sensor.sensor import SensorProperties
 from rigtool.numerics.arrays import Array, Mask
 
@@ -107,7 +107,7 @@ class SignalWatch:
         self._braked = (plant.coulomb + plant.housing_friction) / 2
         self._helped = reach.torque / plant.torque_factor / 2
         self._turn, self._commanded, self._gain = own.count, commanded, gain
-        self._counts: Counts = Counts(own, 0.0 if before is None else before._counts.lost)
+        self._counts: Counts = own.counts(0.0 if before is None else before._counts.lost)
         self._origin: float = math.nan if before is None else before._origin
         self._constant, self._interval = own.torque_constant, own.interval
         self._size = max(1, round(WINDOW_TIME / own.interval))
@@ -164,8 +164,9 @@ class SignalWatch:
         if not (count := len(leaps.sample)):
             return
         largest = leaps.counts[np.argmax(np.abs(leaps.counts))]
-        first, last = leaps.sample[[0, -1]] * self._interval
-        since = float(leaps.since[0] * self._interval)
+        time, since = leaps.sample * self._interval, leaps.since * self._interval
+        # what it rested before, it may not have counted; from one edge to the next it has
+        begins = np.where(time - since > COUNTING_TIME, since, time)
         rests = np.count_nonzero(~leaps.put_back)
         behind = "counts were lost or added"
         if rests < count:
@@ -175,15 +176,16 @@ class SignalWatch:
                 f", or the encoder had stopped, for {rests} of them came after a rest: if it had "
                 "not, angles behind these are off by as many"
             )
-        yield SignalFault(
-            # what it rested before, it may not have counted; from one edge to the next it has
-            since if first - since > COUNTING_TIME else float(first),
-            float(last),
-            f"the encoder leaps from one sample to the next, {count} times from {first:.3f} to "
-            f"{last:.3f} s, by up to {largest:.0f} counts; {LEAP_RATIO:g} times the learned speed "
-            f"is {self._counts.largest_step:.0f}: {behind}; check the encoder's cable and supply",
-            True,
+        text = (
+            f"the encoder leaps from one sample to the next, {count} times from {time[0]:.3f} to "
+            f"{time[-1]:.3f} s, by up to {largest:.0f} counts; {LEAP_RATIO:g} times the learned "
+            f"speed is {self._counts.largest_step:.0f}: {behind}; check the encoder's cable and "
+            "supply"
         )
+        apart = np.flatnonzero(begins[1:] - time[:-1] > 2 * SETTLING_TIME) + 1
+        for first, last in zip([0, *apart], [*(apart - 1), -1], strict=True):
+            yield SignalFault(float(begins[first]), float(time[last]), text, True)
+            text = ""
 
     def _opposed(self, torque: Array, moved: Array, reached: float) -> Iterator[SignalFault]:
         work, path = float(torque @ moved), float(np.abs(moved).sum())

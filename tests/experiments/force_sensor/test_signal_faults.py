@@ -96,6 +96,15 @@ def test_what_leaps_while_the_rotor_moves_is_put_back(pieces):
     np.testing.assert_allclose(behind.add(samples[:, -9:])[0], truth[-9:], atol=4)
 
 
+def test_between_leaps_that_are_put_back_there_are_values():
+    encoder, current = strokes()
+    first, second = faults(encoder + 70 * (TIME >= 2.5) - 90 * (TIME >= 6.5), current)
+    assert "2 times from 2.500 to 6.500 s" in first.text
+    assert not second.text
+    assert (first.start, first.end) == pytest.approx((2.5, 2.5), abs=1e-3)
+    assert (second.start, second.end) == pytest.approx((6.5, 6.5), abs=1e-3)
+
+
 @pytest.mark.parametrize("wraps", [2**16, COUNTS])
 @pytest.mark.parametrize("still", [True, False])
 def test_a_counter_that_wraps_is_put_back_and_keeps_its_values(wraps, still):

@@ -2,7 +2,11 @@
 
 A rotor has inertia: from one sample to the next it does not pass more counts than at some times the
 learned speed. What leaps further while it moves is an error of the count, and all counts behind it
-are off by as many: by the leap, less the step of before. It is taken off.
+are off by
+
+    l = s - s_0
+
+with the leap s and the step s_0 of the sample before, counts. It is taken off.
 
 A leap that is a turn of the encoder, or a power of two from 2^15 on, is a counter that wraps.
 
@@ -18,7 +22,6 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from rigtool.experiments.force_filter.motion_states import FASTEST_LEARNED_RATIO
-from rigtool.experiments.force_sensor.sensor import SensorProperties
 from rigtool.numerics.arrays import Array, Mask
 
 LEAP_RATIO, LEAP_COUNTS = 5.0, 5.0
@@ -53,18 +56,15 @@ class Leaps:
 
 
 class Counts:
-    """Puts counts back, sample by sample as they come, each recorded `interval` s by default;
-    `lost` ones are off from the begin on."""
+    """Puts counts of `count` rad back, one sample each `interval` s, as they come; `lost` ones are
+    off from the begin on. `speed` rad/s is the highest one that was learned."""
 
-    def __init__(
-        self, instrument: SensorProperties, lost: float = 0.0, *, interval: float | None = None
-    ) -> None:
-        interval = instrument.interval if interval is None else interval
-        fastest = FASTEST_LEARNED_RATIO * instrument.reach.speed * interval
-        self.largest_step = max(LEAP_RATIO * fastest / instrument.count, LEAP_COUNTS)
+    def __init__(self, count: float, speed: float, interval: float, lost: float = 0.0) -> None:
+        fastest = FASTEST_LEARNED_RATIO * speed * interval
+        self.largest_step = max(LEAP_RATIO * fastest / count, LEAP_COUNTS)
         self.lost = lost
         self._leaps: list[Leaps] = []
-        self._turn = round(2 * np.pi / instrument.count)
+        self._turn = round(2 * np.pi / count)
         self._resting = COUNTING_TIME / interval
         self._seen = self._changed = 0
         self._last, self._step = np.nan, 0.0
