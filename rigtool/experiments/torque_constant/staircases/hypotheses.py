@@ -289,7 +289,7 @@ def _search(
         found.append(_Tried(place, volume, warms, *means.try_all(axes)))
         best = int(np.argmin(found[-1].square.min(axis=1)))
         centre, half = place[best, : len(axes)], 1.5 * step
-        if not level and centre[0] in axes[0][[0, -1]] and low[0] < centre[0] < high[0]:
+        if not level and lengths != ANY and centre[0] in axes[0][[0, -1]]:
             return _search(means, lag, finer)
     return _joined(found)
 

@@ -113,6 +113,17 @@ def test_friction_that_was_improbable_is_not_tried_again(near, grids):
     np.testing.assert_allclose(*means, atol=2e-3)
 
 
+@pytest.mark.parametrize("rise", [0.1, 0.2, 0.33, 0.7, 1.3])
+@pytest.mark.parametrize("end", [0, 1])
+def test_friction_at_an_end_of_all_is_searched_once(rise, end):
+    """Whatever rounding makes of that end."""
+    bell = Bell(np.zeros(3), 1.0)
+    bell.stairs.courses.torque = bell.stairs.courses.torque * rise
+    bell.centre = np.array(_ranges(bell, None)[end])
+    _search(bell, None, 1)
+    assert [len(np.unique(place[:, 0])) for place in bell.places] == [32, 9]
+
+
 def test_what_is_likely_depends_on_how_much_the_staircases_show():
     bell = Bell(np.array([-2.0, 3.0, 0.0]), 0.5)
     tried = _search(bell, None, 2)
