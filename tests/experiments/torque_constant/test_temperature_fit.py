@@ -291,6 +291,15 @@ def test_the_coefficient_is_the_mean_of_both_alternatives(monkeypatch):
     assert second.trend_u >= 5e-7
 
 
+def test_what_passes_for_heat_passes_for_a_change_with_temperature_as_copper_does(thesis):
+    """A loss that is not there is taken off by 0.393 % of it more a kelvin, from 20 degC on."""
+    none = _fit_temperature(replace(thesis.slopes, heating_u=0.0))
+    heated = _fit_temperature(replace(thesis.slopes, heating_u=5e-3))
+    growth = 0.00393 / (1 + 0.00393 * (none.temperature - 20))
+    added = math.sqrt(heated.trend_u**2 - none.trend_u**2)
+    assert_allclose(added, 5e-3 * growth * none.value, rtol=1e-6)
+
+
 def test_what_a_step_leaves_of_lagging_ripple_is_no_friction():
     """Where contacts hardly slide, friction that grew with the ripple would take it for its own."""
     bench = Bench(saturation=0.0)
