@@ -55,7 +55,9 @@ class AngleEffects:
     An interval is the standard uncertainty times the quantile of Student's t: both match the
     posterior distribution at 68 % and 95 %. `effect` (n,) is what the angle adds to each value,
     without h; `deviation` the standard deviation of the effect over a turn, `deviation_u` its
-    standard uncertainty with `deviation_dof`; `amplitudes` (2 K,) are c_k and s_k in sequence.
+    standard uncertainty with `deviation_dof`; `amplitudes` (2 K,) are c_k and s_k in sequence,
+    `variance` (K,) the sum of both posterior variances; `beyond` is the variance of the values
+    beyond their stated uncertainty that the orders do not explain, without h.
     """
 
     parameters: Array
@@ -66,6 +68,8 @@ class AngleEffects:
     deviation_u: float
     deviation_dof: float
     amplitudes: Array
+    variance: Array
+    beyond: float
 
 
 def fit_angle_effects(
@@ -101,8 +105,8 @@ def fit_angle_effects(
         _as_student(probable, mean[:, k], np.sqrt(within[:, k, k])) for k in range(len(parameters))
     ]
     scale = np.array([u for _, u, _ in stated]) / np.sqrt(np.diag(covariance))
-    beyond = float(np.mean((u / size) ** 2))
-    amplitudes, deviation = _effect(x, y, z, probable, amplitude, highest, beyond)
+    own = float(np.mean((u / size) ** 2))
+    amplitudes, variance, beyond, deviation = _effect(x, y, z, probable, amplitude, highest, own)
     return AngleEffects(
         parameters,
         covariance * np.outer(scale, scale),
@@ -110,6 +114,8 @@ def fit_angle_effects(
         waves @ amplitudes,
         *deviation,
         amplitudes,
+        variance,
+        beyond,
     )
 
 
@@ -194,8 +200,8 @@ def _effect(
     amplitude: Array,
     highest: tuple[int, ...],
     variance: float,
-) -> tuple[Array, tuple[float, float, float]]:
-    """Return the mean amplitudes of the orders (2 K,); the deviation over a turn, its u and dof.
+) -> tuple[Array, Array, float, tuple[float, float, float]]:
+    """Return `amplitudes`, `variance` and `beyond`; the deviation over a turn, its u and dof.
 
     The square of the deviation is half the sum of squared amplitudes, whose mean and variance are
     known for normal amplitudes. Either that is all, or orders above K add what the values scatter
@@ -204,7 +210,7 @@ def _effect(
     count, dim = z.shape[1], x.shape[1]
     every = np.concatenate([x, z], axis=1)
     products, moments = every.T @ every, every.T @ y
-    effect = np.zeros(count)
+    effect, power = np.zeros((2, count))
     shown = np.flatnonzero(probable > NEGLIGIBLE_PROBABILITY)
     weight = probable[shown] / probable[shown].sum()
     square, spread = np.zeros(len(shown)), np.zeros(len(shown))
@@ -219,11 +225,16 @@ def _effect(
         mean = (covariance @ moments[:used] / excess[own, None] ** 2)[:, dim:]
         covariance = covariance[:, dim:, dim:]
         effect[: used - dim] += weight[own] @ mean
-        square[own] = (np.sum(mean**2, axis=1) + np.trace(covariance, axis1=1, axis2=2)) / 2
+        within = np.diagonal(covariance, axis1=1, axis2=2)
+        power[: used - dim] += weight[own] @ (mean**2 + within)
+        square[own] = np.sum(mean**2 + within, axis=1) / 2
         spread[own] = np.sum(covariance**2, axis=(1, 2)) / 2
         spread[own] += np.einsum("hi,hij,hj->h", mean, covariance, mean)
-    square = np.concatenate([square, square + variance * (excess**2 - 1)])
+    more = variance * (excess**2 - 1)
+    square = np.concatenate([square, square + more])
     deviation = np.sqrt(square)
     std = np.sqrt(np.tile(spread, 2) / np.maximum(square, TINY)) / 2
     std = np.maximum(std, 1e-9 * deviation.max() + TINY)
-    return effect, _as_student(np.tile(weight / 2, 2), deviation, std)
+    unknown = np.sum((power - effect**2).reshape(-1, 2), axis=1)
+    stated = _as_student(np.tile(weight / 2, 2), deviation, std)
+    return effect, unknown, float(weight @ more), stated

@@ -117,8 +117,8 @@ def test_amplitudes_and_deviation_are_those_of_all_hypotheses():
     rng = np.random.default_rng(6)
     probable = rng.dirichlet(np.ones(len(highest) * len(amplitude) * len(ERROR_FACTORS)))
     probable[:3] = [2e-5, 5e-5, 1e-5]  # too little to count
-    effect, means, stds, kept = np.zeros(6), [], [], probable > 1e-4
-    beyond, beyond_stds = [], []
+    effect, power, scatter, kept = np.zeros(6), np.zeros(6), 0.0, probable > 1e-4
+    means, stds, beyond, beyond_stds = [], [], [], []
     weight = probable[kept] / probable[kept].sum()
     grid = [(k, a, f) for k in highest for a in amplitude for f in ERROR_FACTORS]
     for (order, size, factor), share in zip(
@@ -131,6 +131,8 @@ def test_amplitudes_and_deviation_are_those_of_all_hypotheses():
         mean = size**2 * own.T @ projected @ y
         covariance = size**2 * np.eye(2 * order) - size**4 * own.T @ projected @ own
         effect[: 2 * order] += share * mean
+        power[: 2 * order] += share * (mean**2 + np.diag(covariance))
+        scatter += share * 0.09 * (factor**2 - 1)
         square = (mean @ mean + np.trace(covariance)) / 2
         variance = (np.sum(covariance**2) + 2 * mean @ covariance @ mean) / 2  # of half a square
         means.append(np.sqrt(square))
@@ -138,8 +140,10 @@ def test_amplitudes_and_deviation_are_those_of_all_hypotheses():
         # what scatters beyond a variance of 0.09 is ripple, too, in half of the cases
         beyond.append(np.sqrt(square + 0.09 * (factor**2 - 1)))
         beyond_stds.append(np.sqrt(variance) / beyond[-1] / 2 if square else 0.0)
-    found, deviation = _effect(x, y, z, probable, amplitude, highest, 0.09)
+    found, unknown, more, deviation = _effect(x, y, z, probable, amplitude, highest, 0.09)
     assert_allclose(found, effect, rtol=1e-7, atol=1e-12)
+    assert_allclose(unknown, (power - effect**2).reshape(3, 2).sum(axis=1), rtol=1e-7)
+    assert_allclose(more, scatter, rtol=1e-7)
     floor = 1e-9 * max(beyond)
     stds = np.maximum(stds + beyond_stds, floor)
     expected = _as_student(np.tile(weight / 2, 2), np.array(means + beyond), stds)

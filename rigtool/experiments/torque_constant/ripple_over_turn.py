@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from rigtool.experiments.torque_constant.clampings import HIGHEST_APART
 from rigtool.experiments.torque_constant.staircases.fit import SAME_TEMPERATURE, Slopes
 from rigtool.numerics.angle_effects import AngleEffects, fit_angle_effects
 from rigtool.numerics.arrays import TINY, Array
@@ -25,6 +26,9 @@ ALIKE = 6**-0.5
 SMALLEST_PART = 100.0
 """Range of the torques without current, over the errors of it that are considered at least."""
 
+DEFLECTION = "deflection of the arm"
+"""Name of the line of a budget that has what it does to the ripple."""
+
 RIPPLE_ANGLES = 13
 """Rotor angles from which the ripple has an uncertainty: with fewer, orders of a turn up to the
 sixth may show nothing, or a part that their phase decides (two angles an order, and one)."""
@@ -40,10 +44,11 @@ def ripple_over_turn(found: AngleEffects, value: float, slopes: Slopes, *, known
     is what that adds to the slopes.
     """
     order = np.repeat(np.arange(1, len(found.amplitudes) // 2 + 1), 2)
-    carried, left, begin = _carried(slopes) if known else (np.zeros(len(order)), 0.0, 0.0)
+    none = np.zeros(len(order)), 0.0, 0.0, 0.0
+    carried, hidden, left, begin = _carried(slopes) if known else none
     square = found.amplitudes**2
     own = found.deviation**2 + float(np.sum((found.amplitudes - carried) ** 2 - square)) / 2
-    deviation = math.sqrt(max(own, 0.0))
+    deviation = math.sqrt(max(own - hidden**2, 0.0))
     angle = math.hypot(slopes.deflection, slopes.deflection_u)
     turned = float(np.sum(square * (order * angle) ** 2) / max(np.sum(square), TINY))
     path = math.hypot(deviation, begin) * RIPPLE_PATH_U * slopes.friction_share
@@ -54,7 +59,7 @@ def ripple_over_turn(found: AngleEffects, value: float, slopes: Slopes, *, known
     lines = [
         error_line("scatter", found.deviation_u / value, "1", found.deviation_dof),
         error_line("path of friction", path / value, "1"),
-        error_line("deflection of the arm", math.hypot(smear, more, ALIKE * left) / value, "1"),
+        error_line(DEFLECTION, math.hypot(smear, more, ALIKE * left) / value, "1"),
         error_line("gauge resolution", math.sqrt(float(np.mean(rounding**2))) / value, "1"),
     ]
     return combined(deviation / value, "1", lines)
@@ -76,20 +81,31 @@ def first_ripple(slopes: Slopes) -> Quantity:
     return Quantity(ripple, "1", reason="a measure of scatter itself")
 
 
-def _carried(slopes: Slopes) -> tuple[Array, float, float]:
-    """Return amplitudes (2 K,) of slopes, N m/A, by torque without current that changes with the
-    angle, which the arm's deflection changes with the torque; the standard deviation over a turn
-    of what stays unknown of these; and that of the torque itself, over the largest current."""
-    noise = np.full(len(slopes.zero), max(float(np.ptp(slopes.zero)), 1e-12) / SMALLEST_PART)
+def _carried(slopes: Slopes) -> tuple[Array, float, float, float]:
+    """Return what torque without current that changes with the angle does to slopes, N m/A, as the
+    arm's deflection changes that torque.
+
+    These are amplitudes (2 K,); standard deviations over a turn of what the angles hide of it, and
+    of all that stays unknown, as the deflection does; and that of the torque itself, over the
+    largest current. What no order up to K explains may be of any up to `HIGHEST_APART`.
+    """
+    top = float(np.ptp(slopes.level))
+    least = max(float(np.ptp(slopes.zero)), 1e-12) / SMALLEST_PART
+    noise = np.maximum(slopes.zero_u, least)
     zero = fit_angle_effects(np.ones((len(noise), 1)), slopes.zero, noise, slopes.rotor_angle)
-    cosine, sine = zero.amplitudes.reshape(-1, 2).T / float(np.ptp(slopes.level))
-    order = np.arange(1, len(cosine) + 1)
-    moved = (cosine - 1j * sine) * np.expm1(1j * order * slopes.deflection)
-    rate = math.sqrt(float(np.sum(order**2 * (cosine**2 + sine**2))) / 2)
-    unknown = slopes.deflection * zero.deviation_u / max(zero.deviation, TINY)
+    order = np.arange(1.0, HIGHEST_APART + 1)
+    turned = np.expm1(1j * order * slopes.deflection)
+    count = len(zero.variance)
+    cosine, sine = zero.amplitudes.reshape(-1, 2).T
+    moved = (cosine - 1j * sine) * turned[:count] / top
+    # Mean squares over a turn of each order, and of the unknown part of it.
+    square = np.full(len(order), zero.beyond / (len(order) - count))
+    unknown = square.copy()
+    square[:count], unknown[:count] = (cosine**2 + sine**2) / 2, zero.variance / 2
+    hidden = math.sqrt(float(unknown @ np.abs(turned) ** 2)) / top
+    left = math.hypot(hidden, math.sqrt(float(square @ order**2)) * slopes.deflection_u / top)
     carried = np.stack([moved.real, -moved.imag], axis=1).ravel()
-    begin = zero.deviation / float(np.ptp(slopes.level))
-    return carried, rate * math.hypot(slopes.deflection_u, unknown), begin
+    return carried, hidden, left, zero.deviation / top
 
 
 def stated_ripple(ripple: Quantity, angles: int, single: float) -> Quantity | None:
@@ -110,6 +126,14 @@ def stated_ripple(ripple: Quantity, angles: int, single: float) -> Quantity | No
         reason = (
             f"a single staircase scatters by {100 * single:.2g} %, more than the ripple that "
             "shows: it may hide there; take a finer or quieter gauge, or raise current_max"
+        )
+        return Quantity(ripple.value, "1", reason=reason)
+    carried = max((one.u for one in ripple.budget if one.name == DEFLECTION), default=0.0)
+    if ripple.value < carried:
+        reason = (
+            f"as the arm gives way, torque without current that differs around the turn changes "
+            f"slopes by {100 * carried:.2g} %, more than the ripple that shows: it may hide there; "
+            "take a stiffer arm, or clamp it at more angles"
         )
         return Quantity(ripple.value, "1", reason=reason)
     return ripple

@@ -28,6 +28,7 @@ from rigtool.experiments.torque_constant.staircases.fit import (
     Slopes,
     fit_staircases,
 )
+from rigtool.experiments.torque_constant.staircases.model import COPPER_COEFFICIENT
 from rigtool.experiments.torque_constant.staircases.plateaus import (
     Linearity,
     Plateaus,
@@ -244,9 +245,11 @@ def _fit_temperature(slopes: Slopes) -> _Fit:
         slope=slope,
         slope_u=slope_u,
         tilt=tilt,
-        # An error from friction may be the same at all temperatures, or grow with the constant.
+        # An error from friction may be the same at all temperatures, or grow with the constant;
+        # what passes for a loss by heat is taken off in proportion to the winding's resistance.
         trend_u=math.hypot(
             slopes.trend_u,
+            slopes.heating_u * value / (1 / COPPER_COEFFICIENT + centre - REFERENCE_DEGC),
             slopes.friction_u * slope,
             TREND_U * slopes.friction_share * slope,
         ),

@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.torque_constant.clampings import clamping_angles
 from rigtool.experiments.torque_constant.ripple_over_turn import (
     first_ripple,
     ripple_over_turn,
@@ -40,9 +41,10 @@ from rigtool.experiments.torque_constant.temperature_fit import (
     _require_linear,
     calibrate,
 )
-from rigtool.numerics.angle_effects import AngleEffects
+from rigtool.numerics.angle_effects import AngleEffects, fit_angle_effects
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.turn_mean import mean_over_turn
-from rigtool.quantity import Quantity
+from rigtool.quantity import Quantity, combined, error_line
 from tests.experiments.torque_constant.bench import Bench
 
 ARM = {"arm_length_u": 0.2e-3, "gauge_relative_u": 3e-4, "reference_range_degc": (20.0, 35.0)}
@@ -289,6 +291,15 @@ def test_the_coefficient_is_the_mean_of_both_alternatives(monkeypatch):
     assert second.trend_u >= 5e-7
 
 
+def test_what_passes_for_heat_passes_for_a_change_with_temperature_as_copper_does(thesis):
+    """A loss that is not there is taken off by 0.393 % of it more a kelvin, from 20 degC on."""
+    none = _fit_temperature(replace(thesis.slopes, heating_u=0.0))
+    heated = _fit_temperature(replace(thesis.slopes, heating_u=5e-3))
+    growth = 0.00393 / (1 + 0.00393 * (none.temperature - 20))
+    added = math.sqrt(heated.trend_u**2 - none.trend_u**2)
+    assert_allclose(added, 5e-3 * growth * none.value, rtol=1e-6)
+
+
 def test_what_a_step_leaves_of_lagging_ripple_is_no_friction():
     """Where contacts hardly slide, friction that grew with the ripple would take it for its own."""
     bench = Bench(saturation=0.0)
@@ -345,7 +356,9 @@ def test_what_the_ripple_is_uncertain_by(thesis):
     """Each part alone, against the formula written out; dof by Welch and Satterthwaite."""
     amplitudes = np.zeros(24)
     amplitudes[4] = 2e-4  # cosine of order 3
-    found = AngleEffects(*([np.zeros(1)] * 4), 2e-4 / np.sqrt(2), 1e-6, 10.0, amplitudes)
+    found = AngleEffects(
+        *([np.zeros(1)] * 4), 2e-4 / np.sqrt(2), 1e-6, 10.0, amplitudes, np.zeros(12), 0.0
+    )
     none = {"friction_share": 0.0, "deflection": 0.0, "deflection_u": 0.02}
     none |= {"ripple_u": 0.0, "rounding": np.zeros((1, len(thesis.slopes.zero)))}
     bare = replace(thesis.slopes, zero=0.0 * thesis.slopes.zero, **none)
@@ -360,12 +373,13 @@ def test_what_the_ripple_is_uncertain_by(thesis):
     assert_allclose(dof, 10.0 * (u / 1e-6) ** 4, rtol=1e-6)
     value, u, _ = of(friction_share=0.1)
     assert_allclose(value, found.deviation)
-    assert_allclose(u, np.linalg.norm([1e-6, deflected, 0.025 * found.deviation]), rtol=1e-6)
+    assert_allclose(u, np.linalg.norm([1e-6, deflected, 0.025 * found.deviation]), rtol=1e-5)
     _, u, _ = of(ripple_u=0.03)  # friction of the staircases, which may follow the ripple
     assert_allclose(u, np.linalg.norm([1e-6, deflected, 0.03 * found.deviation]), rtol=1e-6)
     # 1 mN m of order 2 without current: its slope over the angle, times 0.02 rad
-    _, u, _ = of(zero=1e-3 * np.cos(2 * bare.rotor_angle + 0.3))
+    value, u, _ = of(zero=1e-3 * np.cos(2 * bare.rotor_angle + 0.3))
     carried = 2e-3 / np.sqrt(2) * 0.02 / np.ptp(bare.level)
+    assert_allclose(value, found.deviation, rtol=1e-6)  # not known to be carried at all
     more = np.hypot(found.deviation, carried) - found.deviation
     assert_allclose(u, np.linalg.norm([1e-6, deflected, more, carried / np.sqrt(6)]), rtol=0.02)
     # a gauge that rounds by its zero: the root mean square of what each place adds
@@ -425,6 +439,31 @@ def test_torque_without_current_is_no_ripple_where_the_rotor_position_is_recorde
     known = analyse(bench, signals | coarse).slopes
     assert abs(known.deflection - shown.slopes.deflection) < 2 * known.deflection_u
     assert known.deflection_u >= step / np.sqrt(6)
+
+
+def test_torque_without_current_of_an_order_that_the_angles_hide_is_in_the_ripples_u(thesis):
+    """Eighteen angles do not show which order 22 is, which an arm that gives way by 0.08 rad
+    carries by 1.5 of itself."""
+    angle = clamping_angles((20.0, 30.0, 40.0), 6).ravel()
+    ones, top = np.ones((len(angle), 1)), float(np.ptp(thesis.slopes.level))
+
+    def torque(at: Array) -> Array:
+        return sum(5e-4 * np.cos(order * at + order) for order in (1, 3, 22))
+
+    def ripple(size: float) -> Quantity:
+        slope = 0.045 + size * np.cos(3 * angle) + (torque(angle + 0.08) - torque(angle)) / top
+        found = fit_angle_effects(ones, slope, slopes.u, angle)
+        return ripple_over_turn(found, 0.045, slopes, known=True)
+
+    alike = {"u": np.full(len(angle), 1e-5), "rounding": np.zeros((1, len(angle)))}
+    alike |= {"zero_u": np.full(len(angle), 1e-6)}
+    alike |= {"deflection": 0.08, "deflection_u": 0.0, "ripple_u": 0.0, "friction_share": 0.0}
+    slopes = replace(thesis.slopes, zero=torque(angle), rotor_angle=angle, **alike)
+    found = ripple(2e-4)
+    assert abs(found.value - 2e-4 / np.sqrt(2) / 0.045) < 2 * found.u
+    assert stated_ripple(found, 18, 1e-4).u == found.u
+    hides = combined(1e-3, "1", [error_line("deflection of the arm", 2e-3, "1")])
+    assert "take a stiffer arm" in stated_ripple(hides, 18, 1e-4).reason
 
 
 def test_ripple_below_the_scatter_of_a_staircase_has_no_uncertainty():
@@ -634,7 +673,10 @@ def test_torque_scales_the_constant_and_nothing_else(factor, seed):
         "friction_u friction_dof friction_share deflection deflection_u "
         "exponent time_constant temperature level dof hysteresis_dof"
     )
-    scaled = "slope first first_u zero u transition rising falling hysteresis hysteresis_u trend_u"
+    scaled = (
+        "slope first first_u zero zero_u u transition rising falling hysteresis hysteresis_u "
+        "trend_u"
+    )
     for names, size in ((alike, 1.0), (scaled, factor)):
         for name in names.split():
             a, b = (getattr(found.slopes, name) for found in (one, other))

@@ -55,30 +55,31 @@ class Slopes:
 
     `slope` (m,) in N m/A, `u` (m,) its standard uncertainty from scatter with `dof`; `first` (m,)
     is the slope where the current is small, `first_u` (m,) its standard uncertainty; `zero` (m,) is
-    the torque without current, N m; `temperature` (m,) in degC, weighted as the slope weights its
-    plateaus; `rotor_angle` (m,) in rad; `deflection` is the angle by which the arm gives way from
-    zero to the largest current, rad, `deflection_u` its standard uncertainty.
+    the torque without current, N m, `zero_u` (m,) its standard uncertainty by scatter;
+    `temperature` (m,) in degC, weighted as the slope weights its plateaus; `rotor_angle` (m,) in
+    rad; `deflection` is the angle by which the arm gives way from zero to the largest current, rad,
+    `deflection_u` its standard uncertainty.
     `heating` is the relative amount by which heat in the winding lowered the slopes on average,
     `heating_u` its standard uncertainty with `heating_dof`; `lasting_heating` 1/A2 is what a
     current lowers the constant by within `HEATING_TIME`, over its square, `lasting_heating_u` its
     standard uncertainty from scatter, `lasting_heating_spread` that from tau and from friction's
-    path, infinite where no loss shows; `friction_u` the
-    relative standard uncertainty from the model of friction with `friction_dof`, `friction_share`
-    the relative part by which friction changes a straight line's slope; `resolution_u` that from
-    the resolution of the gauge, `rounding` (places, m) in N m/A what it adds to each slope with the
-    gauge's zero at some places within its step; `trend_u` in N m/(A K) is what both give a change
-    with temperature, `ripple_u` what friction's scatter gives the size of the ripple, relative.
-    `transition` is s of (1) in N m (None where no friction shows), `exponent`
-    that of its law, `time_constant` tau in s. `level` (l,) in A,
-    `rising` and `falling` (l,) in N m: torque minus the straight line, mean over staircases;
-    `hysteresis` in N m: falling minus rising in the middle of the span, `hysteresis_u` its standard
-    uncertainty with `hysteresis_dof`.
+    path, infinite where no loss shows; `friction_u` the relative standard uncertainty from the
+    model of friction with `friction_dof`, `friction_share` the relative part by which friction
+    changes a straight line's slope; `resolution_u` that from the resolution of the gauge,
+    `rounding` (places, m) in N m/A what it adds to each slope with the gauge's zero at some places
+    within its step; `trend_u` in N m/(A K) is what both give a change with temperature, `ripple_u`
+    what friction's scatter gives the size of the ripple, relative. `transition` is s of (1) in N m
+    (None where no friction shows), `exponent` that of its law, `time_constant` tau in s. `level`
+    (l,) in A, `rising` and `falling` (l,) in N m: torque minus the straight line, mean over
+    staircases; `hysteresis` in N m: falling minus rising in the middle of the span, `hysteresis_u`
+    its standard uncertainty with `hysteresis_dof`.
     """
 
     slope: Array
     first: Array
     first_u: Array
     zero: Array
+    zero_u: Array
     deflection: float
     deflection_u: float
     u: Array
@@ -161,6 +162,8 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         first=solution.first,
         first_u=solution.first_u,
         zero=solution.fit.own[:, 1],
+        zero_u=_scatter(stairs, solution.fit)[0]
+        * np.linalg.norm(solution.fit.inverse[:, 1], axis=1),
         deflection=bent,
         deflection_u=bent_u,
         u=solution.u,
@@ -193,8 +196,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
 
 
 def _about(stairs: Stairs) -> float:
-    """Return c of (1), 1/K, by a straight line through each staircase: the drift within one is
-    small."""
+    """Return c of (1), 1/K, by lines through staircases: the drift within one is small."""
     degc = mean_of(stairs.temperature, stairs.weight)
     if np.ptp(degc) <= SAME_TEMPERATURE:
         return 0.0
@@ -343,9 +345,9 @@ def _lack_of_fit(
     """Return the u that lack of fit gives a combination of slopes, N m/A, and its dof.
 
     `weight` (m,) combines the staircases, `rounding_u` N m/A is what the gauge's resolution gives.
-    The common part of their residuals is correlated from
-    plateau to plateau along the staircase, as the covariance assumes. What scatter of each
-    staircase and resolution of the gauge explain is taken off: it is stated on its own.
+    The common part of their residuals is correlated from plateau to plateau along the staircase, as
+    the covariance assumes. What scatter of each staircase and resolution of the gauge explain is
+    taken off: it is stated on its own.
     """
     fit = solution.fit
     combined = weight @ fit.residual
@@ -373,8 +375,7 @@ def _friction_changes(
 
 
 def _either(probability: float, values: list[float], us: list[float]) -> tuple[float, float]:
-    """Return mean and standard deviation of the first of two alternatives, which has this
-    `probability`, or the second."""
+    """Return mean and standard deviation where the first of two has this `probability`."""
     first, second = values
     mean = second + probability * (first - second)
     square = probability * us[0] ** 2 + (1 - probability) * us[1] ** 2
