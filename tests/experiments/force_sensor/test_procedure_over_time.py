@@ -387,6 +387,18 @@ def test_a_current_of_the_other_sign_is_refused(rig, strokes, tmp_path):
         run(MEASURE_FORCE, path, tmp_path / "again.h5", kt=KT, tables=rig.tables)
 
 
+def test_a_stream_puts_back_counts_that_leap(rig, strokes, live, tmp_path):
+    _, signals = changed(rig, tmp_path, lambda own: own)
+    parts = range(1000, len(signals["time"]), 1000)
+    plain = rows_of(live(), signals, parts)
+    moves = 20000 + int(np.argmax(np.abs(np.diff(signals["encoder"][20000:])) > 0)) + 4
+    lost = {**signals, "encoder": signals["encoder"] + 300 * (np.arange(parts.stop) >= moves)}
+    found = rows_of(live(), lost, parts)
+    known = np.isfinite(plain["torque"]) & np.isfinite(found["torque"])
+    assert known.mean() > 0.9
+    assert (np.abs(found["torque"] - plain["torque"]) < plain["u"])[known].all()
+
+
 def test_gaps_and_samples_without_value_begin_anew(rig, strokes, live, tmp_path):
     path, signals = changed(rig, tmp_path, broken)
     found = run(MEASURE_FORCE, path, tmp_path / "again.h5", kt=KT, tables=rig.tables)
