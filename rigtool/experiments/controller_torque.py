@@ -20,6 +20,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -90,6 +91,19 @@ class LoopSignals:
     controller: Array
     modelled: Array
     learned: Array
+
+
+class LoopAnswer(NamedTuple):
+    """How a loop answers a distance d of rotor and set point: with a torque of `gain` d or more,
+    N m/rad; before d by its `lead`, s; its integrator with a period `turn`, s."""
+
+    gain: float = 0.0
+    lead: float = 0.0
+    turn: float = 0.0
+
+
+NO_ANSWER = LoopAnswer()
+"""Of a loop that is not known."""
 
 
 def controller_torque(
@@ -296,6 +310,15 @@ def usual_current(asked: Array) -> float:
 def smallest_gain(recipe: Recipe) -> float:
     """Return the smallest gain of the recipe's controller below its crossover, N m/rad."""
     return _smallest_gain(recipe.rig.controller.crossover_hz, **recipe.rig.loop_design)
+
+
+def loop_answer(recipe: Recipe) -> LoopAnswer:
+    """Return how the recipe's loop answers a distance; its lead of (s/wz + 1)/(s/wp + 1) is
+    1/wz - 1/wp."""
+    own = recipe.rig.controller
+    lead = (own.lead_ratio - 1 / own.lead_ratio) / (2 * math.pi * own.crossover_hz)
+    turn = 1 / own.integrator_hz if own.integrator_hz else 0.0
+    return LoopAnswer(smallest_gain(recipe), lead, turn)
 
 
 @lru_cache(maxsize=8)

@@ -15,6 +15,7 @@ from rigtool.experiments.controller_torque import (
     SaturationWatch,
     _part_of_sample,
     _speed_of_noise,
+    loop_answer,
     loop_blocks,
     require_tracking,
     require_unlimited,
@@ -34,6 +35,21 @@ def test_the_smallest_gain_is_that_of_the_controller_below_its_crossover():
     crossover = OWN.rig.controller.crossover_hz
     fine = np.abs(answer(np.geomspace(min(0.5, crossover), crossover, 4001)))
     assert smallest_gain(OWN) == pytest.approx(fine.min(), rel=1e-3)
+
+
+@pytest.mark.parametrize(("integrator", "turn"), [(4.0, 0.25), (0.0, 0.0)])
+def test_a_loop_answers_with_its_gain_ahead_by_its_lead_and_late_by_its_integrator(
+    integrator, turn
+):
+    recipe = load_recipe(RECIPE, [f"rig.controller.integrator_hz={integrator}"])[0]
+    controller = recipe.rig.controller
+    answer = loop_answer(recipe)
+    assert (answer.gain, answer.turn) == (smallest_gain(recipe), turn)
+    zero, pole = (2 * math.pi * controller.crossover_hz * controller.lead_ratio**k for k in (-1, 1))
+    # the slope of the lead's phase at low frequencies
+    slow = 1e-3 * zero
+    phase = math.atan(slow / zero) - math.atan(slow / pole)
+    assert answer.lead == pytest.approx(phase / slow, rel=1e-5)
 
 
 @pytest.mark.parametrize(("times", "refused"), [(0.99, False), (1.01, True)])

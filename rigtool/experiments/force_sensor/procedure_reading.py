@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.controller_torque import smallest_gain
+from rigtool.experiments.controller_torque import NO_ANSWER, loop_answer
 from rigtool.experiments.force_filter.estimate import PIECE_STEPS
 from rigtool.experiments.force_filter.motion_states import Reach
 from rigtool.experiments.force_model.force_model import ForceModel
@@ -94,7 +94,7 @@ def read_recording(
     instrument = instrument_of(recipe, kt, model, reach, interval)
     counts = round(moved / instrument.count)
     commanded = recording.has(SETPOINT_CHANNEL)
-    gain = smallest_gain(recipe) if commanded else 0.0
+    loop = loop_answer(recipe) if commanded else NO_ANSWER
     parts: list[TorqueRows] = []
     breaks, read, done = -1, 0.0, 0
     with ThreadPoolExecutor(1) as smoothing, ThreadPoolExecutor(1) as testing:
@@ -117,13 +117,15 @@ def read_recording(
                     left,
                     (smoothing, testing),
                     commanded=commanded,
-                    gain=gain,
+                    loop=loop,
                     before=watch,
                 )
                 watch = stretch.watch
             done += block.shape[1]
             if counts:
                 block[1] -= counts
+                if commanded:  # the loop saw the rotor where the encoder showed it
+                    block[-1] -= counts * instrument.count
             rows = block[1:]
             stretch.add(*((rows[:-1], rows[-1]) if commanded else (rows,)))
         if stretch is not None:

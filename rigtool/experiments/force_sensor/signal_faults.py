@@ -10,9 +10,12 @@ changes by more, the encoder does not count, or something blocks the rotor. Mean
 are compared: within it, a torque beyond friction turns a rotor by more than a count.
 
 The rig's own loop answers a distance d of rotor and set point with a torque g d or more, g the
-smallest gain of its controller. While the encoder stays at one count, a set point that moves by
-more than the change of torque over g, and `UNEXPLAINED_DISTANCE`, leaves a rotor that the loop does
-not see at rest. So does one that is further away than at first in the mean of `MEAN_TIME`.
+smallest gain of its controller, and leads by a time t. While the encoder stays at one count, its
+integrator grows on the side on which the set point is. Where the set point comes nearer, the two
+parts may cancel; where it goes away, they add. An a = d + t d' that grows on its side by more than
+what the torque grows there over g, and `UNEXPLAINED_DISTANCE`, leaves a rotor that the loop does
+not see at rest. So does one that is further away than at first in the mean of `MEAN_TIME`, or of
+`MEAN_TURNS` of the integrator.
 
 A motor that moves a rig to and fro works against friction. Over a path L within a range R of
 angles, a load that helps in some of the passes does M R / (2 n) at most on the whole. Where the
@@ -32,7 +35,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from rigtool.experiments.controller_torque import UNEXPLAINED_DISTANCE
+from rigtool.experiments.controller_torque import NO_ANSWER, UNEXPLAINED_DISTANCE, LoopAnswer
 from rigtool.experiments.force_filter.lost_counts import COUNTING_TIME, LEAP_RATIO, Counts
 from rigtool.experiments.force_model.steps import NO_CURRENT
 from rigtool.experiments.force_sensor.sensor import SensorProperties
@@ -55,8 +58,9 @@ CUT_WINDOWS, CUT_RATIO, CUT_STEP = 5, 5.0, 0.01
 those at any other value; the largest step to the next value, of its range: a current of coarse
 steps stays the same, too."""
 
-MEAN_TIME = 1.0
-"""Time over which a loop without a fault leaves no distance of rotor and set point, s."""
+MEAN_TIME, MEAN_TURNS = 1.0, 2.0
+"""Time over which a loop without a fault leaves no distance of rotor and set point, s, and in
+periods of its integrator: a softer one answers later than that."""
 
 UNEXPLAINED_MEAN = UNEXPLAINED_DISTANCE / 2
 """Mean distance that is accepted without a torque, rad: most of the others change sign."""
@@ -86,8 +90,8 @@ class SignalWatch:
     """Watches samples without a gap; they are added as they come.
 
     Where the rig's own loop moves it, it is `commanded`: nothing else drives it all the time. The
-    loop's smallest `gain`, N m/rad, bounds how far a set point can leave a rotor at rest; none does
-    where it is zero.
+    answer of that `loop` bounds how far a set point can leave a rotor; none does where its gain is
+    zero.
     """
 
     def __init__(
@@ -95,7 +99,7 @@ class SignalWatch:
         instrument: SensorProperties,
         *,
         commanded: bool = False,
-        gain: float = 0.0,
+        loop: LoopAnswer = NO_ANSWER,
         before: SignalWatch | None = None,
     ) -> None:
         own, reach = instrument, instrument.reach
@@ -106,7 +110,7 @@ class SignalWatch:
         self._held, self._limited = 2 * friction + carried, own.limited
         self._braked = (plant.coulomb + plant.housing_friction) / 2
         self._helped = reach.torque / plant.torque_factor / 2
-        self._turn, self._commanded, self._gain = own.count, commanded, gain
+        self._turn, self._commanded, self._loop = own.count, commanded, loop
         self._counts: Counts = own.counts(0.0 if before is None else before._counts.lost)
         self._origin: float = math.nan if before is None else before._origin
         self._constant, self._interval = own.torque_constant, own.interval
@@ -203,19 +207,20 @@ class SignalWatch:
         self, count: Array, still: Mask, torque: Array, distance: Array
     ) -> Iterator[SignalFault]:
         for first, last in _runs(count, still):
-            change, left = (float(np.ptp(one[first:last])) for one in (torque, distance))
-            shown, answer = f"changes by {change * 1e3:.3g} mN m", self._gain * left
+            change = float(np.ptp(torque[first:last]))
+            away, growth = self._unanswered(torque[first:last], distance[first:last])
             if change > self._held:
                 why = (
-                    f"the motor's torque {shown}; friction and the largest learned load hold a "
-                    f"rotor up to {self._held * 1e3:.3g} mN m: the encoder does not count, or the "
-                    "rotor is blocked"
+                    f"the motor's torque changes by {change * 1e3:.3g} mN m; friction and the "
+                    f"largest learned load hold a rotor up to {self._held * 1e3:.3g} mN m: the "
+                    "encoder does not count, or the rotor is blocked"
                 )
-            elif answer > change + self._gain * UNEXPLAINED_DISTANCE:
+            elif self._loop.gain * (away - UNEXPLAINED_DISTANCE) > growth:
                 why = (
-                    f"the set point moves by {left:.3g} rad, and the motor's torque {shown} only; "
-                    f"the loop would answer with {answer * 1e3:.3g} mN m or more: the encoder does "
-                    "not count, or the loop is not that of [rig.controller]"
+                    f"the set point goes away by {away:.3g} rad, and the motor's torque changes by "
+                    f"{growth * 1e3:.3g} mN m only; the loop would answer with "
+                    f"{self._loop.gain * away * 1e3:.3g} mN m or more: the encoder does not count, "
+                    "or the loop is not that of [rig.controller]"
                 )
             else:
                 continue
@@ -229,15 +234,34 @@ class SignalWatch:
                 True,
             )
 
+    def _unanswered(self, torque: Array, distance: Array) -> tuple[float, float]:
+        """Return by how much a set point goes away from a rotor at rest, rad, and the growth of
+        torque on its side meanwhile, N m, where they contradict each other the most; zeros where
+        nothing is known. Torque and distance are those of windows (n,)."""
+        found, most = (0.0, 0.0), 0.0
+        if not self._loop.gain > 0 or np.isnan(distance).any():
+            return found
+        led = distance + self._loop.lead * np.gradient(distance, self._size * self._interval)
+        for side in (1, -1):
+            out = np.maximum(side * led, 0.0)
+            least = np.minimum.accumulate(out)
+            since = np.maximum.accumulate(np.where(out == least, np.arange(len(out)), 0))
+            away, growth = out - least, np.maximum(side * (torque - torque[since]), 0.0)
+            beyond = self._loop.gain * away - growth
+            if beyond[at := int(beyond.argmax())] > most:
+                most, found = float(beyond[at]), (float(away[at]), float(growth[at]))
+        return found
+
     def _left(self, torque: Array, distance: Array) -> Iterator[SignalFault]:
-        size = round(MEAN_TIME / (self._size * self._interval))
-        if len(torque) < size or not self._gain > 0 or not self._commanded:
+        window = self._size * self._interval
+        size = round(max(MEAN_TIME, MEAN_TURNS * self._loop.turn) / window)
+        if len(torque) < size or not self._loop.gain > 0 or not self._commanded:
             return
         mean, answer = (sliding_window_view(one, size).mean(axis=1) for one in (distance, torque))
         if math.isnan(self._origin):
             self._origin = float(mean[0])
         off, each = np.abs(mean - self._origin), np.abs(distance - self._origin)
-        most = (np.abs(answer) + 2 * self._braked) / self._gain + UNEXPLAINED_MEAN
+        most = (np.abs(answer) + 2 * self._braked) / self._loop.gain + UNEXPLAINED_MEAN
         (at,) = np.nonzero(off > most)
         if not len(at):
             return
@@ -248,11 +272,11 @@ class SignalWatch:
         yield SignalFault(
             start,
             end,
-            f"the rotor is {off[worst]:.3g} rad further from its set point than at first, for a "
-            f"second and more from {start:.3f} to {end:.3f} s, and the motor's torque is "
-            f"{abs(answer[worst]) * 1e3:.3g} mN m; the loop would answer with "
-            f"{off[worst] * self._gain * 1e3:.3g} mN m or more: counts were lost or added, or the "
-            "loop is not that of [rig.controller]; no torque has a value there; check the "
+            f"the rotor is {off[worst]:.3g} rad further from its set point than at first, in the "
+            f"mean of {size * window:.3g} s and more from {start:.3f} to {end:.3f} s, and the "
+            f"motor's torque is {abs(answer[worst]) * 1e3:.3g} mN m; the loop would answer with "
+            f"{off[worst] * self._loop.gain * 1e3:.3g} mN m or more: counts were lost or added, or "
+            "the loop is not that of [rig.controller]; no torque has a value there; check the "
             "encoder's cable and supply, and record again",
             True,
         )

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.experiments.controller_torque import NO_ANSWER, LoopAnswer
 from rigtool.experiments.force_filter.estimate import PIECE_STEPS, Filter
 from rigtool.experiments.force_filter.highest import highest
 from rigtool.experiments.force_filter.motion_states import LARGEST_LEARNED_RATIO, Moments, State
@@ -92,7 +93,7 @@ class Stretch:
         workers: tuple[Executor, Executor],
         *,
         commanded: bool = False,
-        gain: float = 0.0,
+        loop: LoopAnswer = NO_ANSWER,
         before: SignalWatch | None = None,
     ) -> None:
         step_time = instrument.grid.step_time
@@ -100,7 +101,7 @@ class Stretch:
         self._began = began - instrument.interval / 2
         self._every = steps_of_a_row(step_time, instrument.corner_hz)
         self._sensor = Sensor(instrument)
-        self.watch = SignalWatch(instrument, commanded=commanded, gain=gain, before=before)
+        self.watch = SignalWatch(instrument, commanded=commanded, loop=loop, before=before)
         self._again = instrument.again()
         self._smoother = Smoother(instrument.model.uncertainty, step_time)
         self._untouched: Filter | None = None

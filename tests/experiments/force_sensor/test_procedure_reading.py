@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.controller_torque import NO_ANSWER, LoopAnswer
 from rigtool.experiments.force_sensor import procedure_reading
 from rigtool.experiments.force_sensor.procedure_reading import read_recording, require_interval
 
@@ -28,6 +29,7 @@ def test_a_recording_of_one_sample_has_nothing_and_loses_nothing(size):
 
 
 INTERVAL, STEP = 1e-3, 4e-3
+OWN = LoopAnswer(0.7, 0.01, 0.2)
 
 
 class Stretches:
@@ -38,12 +40,21 @@ class Stretches:
         self.watch = None
 
     def __call__(
-        self, name, instrument, began, size, workers, *, commanded=False, gain=0.0, before=None
+        self,
+        name,
+        instrument,
+        began,
+        size,
+        workers,
+        *,
+        commanded=False,
+        loop=NO_ANSWER,
+        before=None,
     ):
         assert len(workers) == 2
         assert before is self.watch  # that of the stretch before
         self.watch = object()
-        assert gain == (0.7 if commanded else 0.0)
+        assert loop == (OWN if commanded else NO_ANSWER)
         self.made.append((name, began, size, commanded))
         self.given.append([])
         number = len(self.given) - 1
@@ -71,7 +82,7 @@ def read(monkeypatch):
         instrument = SimpleNamespace(count=0.01, grid=grid, interval=INTERVAL)
         monkeypatch.setattr(procedure_reading, "Stretch", stretches)
         monkeypatch.setattr(procedure_reading, "instrument_of", lambda *given: instrument)
-        monkeypatch.setattr(procedure_reading, "smallest_gain", lambda recipe: 0.7)
+        monkeypatch.setattr(procedure_reading, "loop_answer", lambda recipe: OWN)
         monkeypatch.setattr(procedure_reading, "unbroken_blocks", lambda *given: iter(blocks))
 
         def times(name, start, stop=None):
@@ -122,6 +133,13 @@ def test_an_encoder_that_shows_too_much_is_read_less(read, moved):
     ((part,),) = stretches.given
     np.testing.assert_array_equal(part[0], np.full(10, 1 - round(moved / 0.01)))
     np.testing.assert_array_equal(part[1:], np.ones((2, 10)))
+
+
+@pytest.mark.parametrize("moved", [0.0, 0.02])
+def test_a_set_point_stays_as_far_from_the_encoder_as_the_loop_saw_it(read, moved):
+    samples = np.vstack([block(5.0, 10), np.full(10, 0.5)])
+    _, stretches = read([(samples, True)], 10, 5.009, moved, ("position_setpoint",))
+    np.testing.assert_allclose(stretches.wanted[0], 0.5 - moved, rtol=1e-12)
 
 
 @pytest.mark.parametrize(("size", "lost"), [(10, 0.0), (16, 0.0), (18, 9e-3)])

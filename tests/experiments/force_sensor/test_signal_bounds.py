@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rigtool.experiments.controller_torque import LoopAnswer
 from rigtool.experiments.force_sensor.signal_faults import SignalFault, SignalWatch
 from tests.experiments.deploy.sensors import CONSTANT, COUNTS, REACH, Model, instrument
 
@@ -63,18 +64,20 @@ def test_a_set_point_leaves_a_rotor_at_rest_by_no_more_than_the_loop_answers(bey
     wanted = 3.0 + most * (1.04 if beyond else 0.96) * phase
     current = change / KT * np.round(phase) + np.where(TIME < 7, 0.0, 1e-6)
     still = np.full(len(TIME), 12.0)
-    found = faults(still, current, setpoint=wanted, commanded=True, gain=gain)
+    found = faults(still, current, setpoint=wanted, commanded=True, loop=LoopAnswer(gain))
     found = [fault for fault in found if "further" not in fault.text]  # its mean may be, besides
     assert len(found) == beyond
     for fault in found:
         assert fault.no_value
-        assert "moves by " + f"{np.ptp(wanted[::20]):.3g} rad" in fault.text
+        assert "goes away by " + f"{np.ptp(wanted[::20]):.3g} rad" in fault.text
         assert f"changes by {change * 1e3:.3g} mN m only" in fault.text
         assert (fault.start, fault.end) == pytest.approx((0.0, 8.0), abs=0.02)
     assert not faults(still, current, setpoint=wanted, commanded=True)
-    assert not faults(still, current, commanded=True, gain=gain)
+    assert not faults(still, current, commanded=True, loop=LoopAnswer(gain))
     encoder = np.floor(wanted / COUNT)  # a rotor that moves
-    assert not faults(encoder, current + NOISE, setpoint=wanted, commanded=True, gain=gain)
+    assert not faults(
+        encoder, current + NOISE, setpoint=wanted, commanded=True, loop=LoopAnswer(gain)
+    )
 
 
 @BOTH
@@ -87,13 +90,15 @@ def test_a_loop_leaves_no_mean_distance_of_the_set_point_that_it_does_not_answer
     most = 0.05 + answer / gain
     encoder, _ = to_and_fro()
     off = np.where(TIME > 4, most * (1.05 if beyond else 0.93), 0.0) if behind else most + 1.0
-    found = faults(encoder, current, setpoint=encoder * COUNT + off, commanded=True, gain=gain)
+    found = faults(
+        encoder, current, setpoint=encoder * COUNT + off, commanded=True, loop=LoopAnswer(gain)
+    )
     assert len(found) == (beyond and behind)
     for fault in found:
         assert fault.no_value
         assert f"is {most * 1.05:.3g} rad further" in fault.text
         assert (fault.start, fault.end) == pytest.approx((4.0, 8.0), abs=0.1)
-    assert not faults(encoder, current, setpoint=encoder * COUNT + off, gain=gain)
+    assert not faults(encoder, current, setpoint=encoder * COUNT + off, loop=LoopAnswer(gain))
 
 
 def test_a_current_at_its_limit_explains_any_distance():
@@ -102,15 +107,51 @@ def test_a_current_at_its_limit_explains_any_distance():
     wanted, limit = encoder * COUNT + 0.5 * away, instrument().current_limit
     for current, seen in ((0.4, True), (limit, False)):
         driven = np.where((TIME > 2.5) & (TIME < 5.5), current, 0.4) + NOISE * (TIME > 6)
-        found = faults(encoder, driven, setpoint=wanted, commanded=True, gain=2.0)
+        found = faults(encoder, driven, setpoint=wanted, commanded=True, loop=LoopAnswer(2.0))
         assert any("further from" in fault.text for fault in found) == seen
+
+
+@BOTH
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_set_point_that_comes_nearer_leaves_the_torque_as_it_is(beyond, side):
+    """What the loop's own part loses, its integrator adds, here all of it: 0.6 rad are no fault.
+    Beyond the rotor, and away from it, both add: there 0.1 rad are left without an answer."""
+    wanted = side * np.interp(TIME, [3.0, 5.0], [0.6, -0.104 if beyond else -0.096])
+    found = faults(np.zeros(len(TIME)), NOISE, wanted, commanded=True, loop=LoopAnswer(0.5))
+    stays = [fault for fault in found if "stays" in fault.text]
+    assert len(stays) == beyond
+    assert all("goes away by 0.104 rad" in fault.text for fault in stays)
+
+
+@BOTH
+def test_a_loop_that_leads_answers_a_set_point_that_slows_down(beyond):
+    """It answers d + t v: as the set point of 3 rad/s stops, v gives what d demands."""
+    lead, time = 0.04, TIME - 4
+    encoder = np.floor(3 * np.minimum(time, 0) / COUNT)
+    wanted = np.where(time < 0, 3 * time, 3 * lead * -np.expm1(-np.maximum(time, 0) / lead))
+    loop = LoopAnswer(0.5, 0.0 if beyond else lead)
+    found = faults(encoder, NOISE, wanted, commanded=True, loop=loop)
+    assert any("goes away" in fault.text for fault in found) == beyond
+
+
+@BOTH
+def test_a_mean_distance_is_that_of_two_periods_of_the_integrator(beyond):
+    """A soft loop swings in motion: over a second the distance is large, and the torque is not."""
+    encoder, _ = to_and_fro()
+    off = 0.3 * np.sin(np.pi * TIME)
+    loop = LoopAnswer(0.5, turn=0.1 if beyond else 1.0)
+    found = faults(encoder, 0.1 + NOISE, encoder * COUNT + off, commanded=True, loop=loop)
+    assert len(found) == beyond
+    assert all("in the mean of 1 s and more" in fault.text for fault in found)
 
 
 def test_a_rotor_that_is_held_while_the_loop_answers_is_no_fault():
     wanted, gain = 0.2 * np.sin(TIME), 0.03
     held = np.full(len(TIME), 12.0)
-    assert not faults(held, gain * wanted / KT, setpoint=wanted, commanded=True, gain=gain)
-    assert faults(held, NOISE, setpoint=wanted, commanded=True, gain=gain)
+    assert not faults(
+        held, gain * wanted / KT, setpoint=wanted, commanded=True, loop=LoopAnswer(gain)
+    )
+    assert faults(held, NOISE, setpoint=wanted, commanded=True, loop=LoopAnswer(gain))
 
 
 @BOTH
