@@ -113,11 +113,11 @@ def begin_anew() -> None:
 
     A copy that was made while they were `held` takes the one that has arrived since.
     """
-    arrived, _State.waiting = _State.waiting, None
-    _State.active, _State.depth = False, 0
     for number in SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, signal.SIG_DFL)
+    arrived, _State.waiting = _State.waiting, None
+    _State.active, _State.depth = False, 0
     if arrived is not None:
         signal.raise_signal(arrived)
 

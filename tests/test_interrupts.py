@@ -2,6 +2,7 @@
 
 import os
 import signal
+import subprocess
 import sys
 import time
 import weakref
@@ -169,3 +170,23 @@ def test_a_signal_while_handlers_are_put_back_leaves_none_behind(monkeypatch):
         monkeypatch.setattr(signal, "signal", interrupted)
     assert sent
     assert {number: signal.getsignal(number) for number in SIGNALS} == before
+
+
+def test_a_copy_takes_a_signal_that_comes_while_it_begins():
+    code = """
+import signal
+from rigtool.interrupts import begin_anew, handled, held
+
+put = signal.signal
+
+def interrupted(number, handler):
+    if number == signal.SIGINT:
+        signal.raise_signal(signal.SIGTERM)
+    return put(number, handler)
+
+with handled(), held():
+    signal.signal = interrupted
+    begin_anew()
+"""
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (found.returncode, found.stderr) == (-signal.SIGTERM, "")

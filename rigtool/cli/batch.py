@@ -26,7 +26,7 @@ from rigtool.cli.output import Output, echo
 from rigtool.errors import RigtoolError, UsageError
 from rigtool.escapes import is_text
 from rigtool.inputs import open_input
-from rigtool.interrupts import Terminated, begin_anew, held, may_fork
+from rigtool.interrupts import Terminated, begin_anew, held, may_fork, raise_swallowed
 
 if TYPE_CHECKING:
     from multiprocessing.process import BaseProcess
@@ -134,6 +134,7 @@ class Batch:
         waiting = iter(range(len(self._lines)))
         try:
             while len(self.codes) < len(self._lines):
+                raise_swallowed()
                 for index in islice(waiting, jobs - len(self._running)):
                     self._start(index)
                 wait([process.sentinel for process in self._running.values()])

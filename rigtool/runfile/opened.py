@@ -103,15 +103,7 @@ def _identity(file: h5py.File) -> tuple[int, ...]:
 def open_hdf5(path: str | os.PathLike[str]) -> h5py.File:
     """Open an HDF5 file for reading only; raises `RunFileError` with the reason."""
     path = Path(path)
-    if not os.path.isfile(path):
-        what = "a folder" if os.path.isdir(path) else "a device or a pipe"
-        what = f"is {what}, not a file" if os.path.exists(path) else "no such file"
-        hint = "; recipes end in .toml" if path.suffix not in (".h5", ".part") else ""
-        if os.path.isdir(path):
-            hint = f": {path}/*.h5 names all of a folder"
-        raise RunFileError(
-            f"{path}: {what}; give a run file (.h5) that a rigtool command wrote{hint}"
-        )
+    require_file(path)
     with open_input(path, RunFileError) as stream:
         size, magic = os.fstat(stream.fileno()).st_size, stream.read(8)
     if magic != b"\x89HDF\r\n\x1a\n":
@@ -124,6 +116,23 @@ def open_hdf5(path: str | os.PathLike[str]) -> h5py.File:
         return open_file(path, "r", **_CHUNK_CACHE)
     except Exception as error:
         raise RunFileError(f"{path}: {_open_problem(path, str(error))}") from error
+
+
+def require_file(path: Path) -> None:
+    """Raise `RunFileError` unless there is a file; what is left of its run is named."""
+    if os.path.isfile(path):
+        return
+    if not os.path.exists(path) and os.path.isfile(f"{path}.part"):
+        raise RunFileError(
+            f"{path}: no such file; its run was interrupted, or goes on: `rigtool recover "
+            f"{path}.part` brings back its signals"
+        )
+    what = "a folder" if os.path.isdir(path) else "a device or a pipe"
+    what = f"is {what}, not a file" if os.path.exists(path) else "no such file"
+    hint = "; recipes end in .toml" if path.suffix not in (".h5", ".part") else ""
+    if os.path.isdir(path):
+        hint = f": {path}/*.h5 names all of a folder"
+    raise RunFileError(f"{path}: {what}; give a run file (.h5) that a rigtool command wrote{hint}")
 
 
 def require_schema(file: h5py.File, path: str | os.PathLike[str]) -> None:

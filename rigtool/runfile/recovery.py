@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rigtool.errors import RunFileError, UsageError
 from rigtool.runfile import schema, tree
 from rigtool.runfile.model import RecordingSpec
-from rigtool.runfile.opened import OpenFile, guard, open_hdf5, require_schema
+from rigtool.runfile.opened import OpenFile, guard, open_hdf5, require_file, require_schema
 from rigtool.runfile.outputs import own_folder, require_output
 from rigtool.runfile.reader import Run
 from rigtool.runfile.recording import Recording
@@ -42,6 +42,7 @@ def recover(
     where `output` exists.
     """
     part = Path(part)
+    require_file(part)
     output = _output(part, output, overwrite)
     # The part may have the name that a writer of `output` would give to its own part.
     with _open_unfinished(part) as run, own_folder(output.parent) as folder:
@@ -68,9 +69,7 @@ def _output(part: Path, output: str | os.PathLike[str] | None, overwrite: bool) 
 def _open_unfinished(path: Path) -> Run:
     try:
         file = open_hdf5(path)
-    except RunFileError as error:
-        if not os.path.isfile(path):
-            raise error from None
+    except RunFileError:
         file = open_unclosed(path)
     try:
         with guard(path, "the file"):

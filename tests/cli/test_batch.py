@@ -145,12 +145,15 @@ def test_what_a_line_printed_before_it_was_killed_is_not_lost():
 )
 def test_signals_go_on_to_all_that_run(tmp_path, number, code, word, group):
     """Those of a terminal reach all processes by themselves, and once more by the batch: what is
-    written is held until it is whole."""
+    written is held until it is whole. A line asks for what a finaliser swallowed, as commands do at
+    each block: one that closes a file that nobody closed drops an exception that comes in it."""
     body = """
-    from rigtool.interrupts import held
+    from rigtool.interrupts import held, raise_swallowed
     try:
-        open(name, "x")
-        time.sleep(60)
+        open(name, "x").close()
+        for _ in range(6000):
+            raise_swallowed()
+            time.sleep(0.01)
     except BaseException as error:
         with held():
             print(type(error).__name__)
@@ -178,6 +181,22 @@ def test_signals_go_on_to_all_that_run(tmp_path, number, code, word, group):
     assert (running.returncode, printed) == (code, f"{word}\n{word}\n")
     assert "2 of 3 lines ended" in message
     assert sorted(os.listdir(tmp_path)) == ["a", "b"]
+
+
+def test_a_signal_that_a_finaliser_swallows_ends_the_batch():
+    code = """
+import rigtool.cli.batch as batch
+
+class Last:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+
+batch._import_listed = lambda path: Last()
+"""
+    head, _, rest = own("print(name)").partition("cli.COMMANDS")
+    found = process(code=f"{head}{code}cli.COMMANDS{rest}", input="do a\ndo b\n")
+    assert (found.returncode, found.stdout) == (143, "a\n"), found.stderr
+    assert found.stderr.splitlines() == ["terminated", "1 of 2 lines ended"]
 
 
 def test_where_no_copy_can_be_made_each_line_is_a_process(folder):

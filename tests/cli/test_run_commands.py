@@ -31,6 +31,17 @@ def test_recover(tmp_path, capsys):
     assert sorted(os.listdir(tmp_path)) == ["a.h5", "a.h5.part"]
 
 
+def test_what_is_left_of_a_run_is_named(tmp_path, capsys):
+    interrupted(path := tmp_path / "a.h5")
+    remedy = f"`rigtool recover {path}.part` brings back its signals"
+    for words in (("recover",), ("recover", "-o", tmp_path / "b.h5"), ("info",)):
+        code, _, err = call(capsys, *words, path)
+        assert (code, remedy in err) == (3, True), err
+    code, _, err = call(capsys, "recover", tmp_path / "no.h5")
+    assert (code, "no.h5: no such file" in err) == (3, True), err
+    assert os.listdir(tmp_path) == ["a.h5.part"]
+
+
 def test_verify(tmp_path, capsys):
     raw = write(tmp_path / "raw.h5", size=100)
     last = write(tmp_path / "last.h5", inputs=(raw,), recordings=())
