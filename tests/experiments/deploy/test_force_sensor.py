@@ -177,6 +177,19 @@ def test_counts_that_leap_after_a_rest_begin_anew(libraries, samples):
     assert (np.abs(behind - alone)[both, 0] < alone[both, 1]).mean() > 0.98
 
 
+def test_counts_that_leap_while_the_rotor_is_at_an_edge_are_put_back(libraries, samples):
+    """It counts to and fro: no channel has stopped."""
+    whole = samples["strokes"][:, :16000].copy()
+    whole[0, 8000:] = whole[0, 8000] + np.arange(8000) // 40 % 2
+    part = whole.copy()
+    part[0, 12020:] += 700  # while no count passes
+    plain, found = read(libraries["double"], whole), read(libraries["double"], part)
+    same = found[:, 4] == plain[:, 4]
+    assert same.mean() > 0.98
+    known = same & (plain[:, 4] > 0)
+    assert (np.abs(found - plain)[known, 0] < plain[known, 1]).all()
+
+
 @pytest.mark.parametrize("degc", [1000.0, -1e30])
 def test_a_temperature_that_no_motor_has_begins_anew(libraries, samples, degc):
     part = samples["free"].copy()

@@ -103,6 +103,9 @@ def test_between_leaps_that_are_put_back_there_are_values():
     assert not second.text
     assert (first.start, first.end) == pytest.approx((2.5, 2.5), abs=1e-3)
     assert (second.start, second.end) == pytest.approx((6.5, 6.5), abs=1e-3)
+    # none where what settles behind the first one meets what is before the second
+    (both,) = faults(encoder + 70 * (TIME >= 2.5) - 90 * (TIME >= 4.3), current)
+    assert (both.start, both.end) == pytest.approx((2.5, 4.3), abs=1e-3)
 
 
 @pytest.mark.parametrize("wraps", [2**16, COUNTS])

@@ -49,6 +49,15 @@ def test_u_covers_a_sine_of_any_period(period):
     assert (shown <= size).all()
 
 
+def test_u_is_that_of_the_worst_period_over_its_phase():
+    """A cosine of amplitude a has order 1 of 2 e J1(2 pi a/period) cos(phase) behind e."""
+    size, ripple = 2e-3, 6e-3 * np.cos(ANGLE)
+    shown = distorted_orders(
+        ripple[None], Distortion(LEVELS, np.zeros(LEVELS.size), size), ORDERS, FINE
+    )
+    assert shown[0] == pytest.approx(np.sqrt(2) * 0.5819 * size, rel=0.02)  # the highest of J1
+
+
 def test_set_points_that_scatter_by_a_period_average_it_out():
     still = Distortion(LEVELS, np.zeros(LEVELS.size), 2e-3)
     turns = np.random.default_rng(2).uniform(-0.2, 0.2, (400, 1)) + RIPPLE

@@ -132,6 +132,9 @@ def test_what_is_likely_depends_on_how_much_the_staircases_show():
         bell.independent = lambda common, count=count: count
         low, high = _likely(bell, tried)
         assert low < -2 < high
+        square = tried.square.min(axis=1)
+        likely = tried.place[(square.min() / square) ** (count / 2) > 1e-9, 0]
+        assert (low, high) == (likely.min(), likely.max())
         spans.append(high - low)
     assert spans[0] > 1.2 * spans[1] > 0
 
