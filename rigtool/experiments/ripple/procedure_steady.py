@@ -20,8 +20,13 @@ from rigtool.recipe import Recipe
 from rigtool.runfile import Recording
 from rigtool.runfile.schema import CHUNK
 
-DRIFT_DEGREE = 3
-"""Degree of the polynomial by which the housing's temperature changes over a recording."""
+DRIFT_DEGREE = 3, 12
+"""Lowest and highest degree of the polynomial by which the housing's temperature changes over a
+recording, if so many turns show it."""
+
+TURNS_A_DEGREE = 12
+"""Turns for each degree of it: a housing follows its winding, at first late, then by exponentials.
+Over 150 turns (12 min) a cubic is 0.2 K off at the beginning."""
 
 MIN_STEADY_SAMPLES = 4
 """Smallest number of samples at constant speed, however few turns they make."""
@@ -66,8 +71,8 @@ def temperature_at_turns(recording: Recording, passed: Array) -> Array:
     """Return the motor's temperature where turns begin and end, (turns + 1,) degC; NaN where none
     is known.
 
-    `passed` (turns + 1,) s are these times. A polynomial of third degree through the means of the
-    turns: a housing warms by an exponential, of which a long recording shows more than a line.
+    `passed` (turns + 1,) s are these times. A polynomial through the means of the turns, of a
+    higher degree for more of them (`TURNS_A_DEGREE`).
     """
     turns = passed.size - 1
     sums, counts = np.zeros(turns), np.zeros(turns)
@@ -80,9 +85,11 @@ def temperature_at_turns(recording: Recording, passed: Array) -> Array:
     known = np.flatnonzero(counts)
     if not known.size:
         return np.full(turns + 1, np.nan)
-    degree = min(DRIFT_DEGREE, known.size - 1)
-    smooth = np.polyfit((known + 0.5) / turns, sums[known] / counts[known], degree)
-    return np.asarray(np.polyval(smooth, np.arange(turns + 1) / turns), dtype=np.float64)
+    lowest, highest = DRIFT_DEGREE
+    degree = min(max(lowest, known.size // TURNS_A_DEGREE), highest, known.size - 1)
+    means = sums[known] / counts[known]
+    smooth = np.polynomial.Chebyshev.fit(known + 0.5, means, degree, domain=[0, turns])
+    return np.asarray(smooth(np.arange(turns + 1.0)), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
