@@ -71,8 +71,6 @@ def test_the_locked_versions_install_with_the_lowest_python():
     lowest = PROJECT["requires-python"].removeprefix(">=") + ".0"
     lines = (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()
     locked = [line.partition("==")[0] for line in lines if "==" in line]
-    if missing := [name for name in locked if not list(metadata.distributions(name=name))]:
-        pytest.skip(f"{len(missing)} of them are not installed, e.g. {missing[0]}")
     allowed = {name: metadata.metadata(name).get("Requires-Python") or "" for name in locked}
     assert len(allowed) > 50
     assert {n: s for n, s in allowed.items() if not SpecifierSet(s).contains(lowest)} == {}

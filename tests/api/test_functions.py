@@ -82,9 +82,9 @@ def test_a_run_gives_what_its_command_finds(name):
     found = expected_of(name).results
     assert set(found) == set(REFERENCES[name])
     for result, reference in REFERENCES[name].items():
-        slack = 0.01 * (reference["u"] or 0.0)  # rounding of another processor, or scipy
+        slack = 0.01 * (reference["u"] or 0.0)  # rounding of another processor
         value = found[result].value
-        assert math.isclose(value, reference["value"], rel_tol=1e-5, abs_tol=slack), result
+        assert math.isclose(value, reference["value"], rel_tol=1e-6, abs_tol=slack), result
         assert found[result].unit == reference["unit"]
 
 

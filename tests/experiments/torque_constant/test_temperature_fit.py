@@ -361,6 +361,7 @@ def test_what_the_ripple_is_uncertain_by(thesis):
     )
     none = {"friction_share": 0.0, "deflection": 0.0, "deflection_u": 0.02}
     none |= {"ripple_u": 0.0, "rounding": np.zeros((1, len(thesis.slopes.zero)))}
+    none |= {"zero_u": 0.0 * thesis.slopes.zero}
     bare = replace(thesis.slopes, zero=0.0 * thesis.slopes.zero, **none)
     deflected = found.deviation * 0.05 * (3 * 0.02) ** 2
 
@@ -373,7 +374,7 @@ def test_what_the_ripple_is_uncertain_by(thesis):
     assert_allclose(dof, 10.0 * (u / 1e-6) ** 4, rtol=1e-6)
     value, u, _ = of(friction_share=0.1)
     assert_allclose(value, found.deviation)
-    assert_allclose(u, np.linalg.norm([1e-6, deflected, 0.025 * found.deviation]), rtol=1e-5)
+    assert_allclose(u, np.linalg.norm([1e-6, deflected, 0.025 * found.deviation]), rtol=1e-6)
     _, u, _ = of(ripple_u=0.03)  # friction of the staircases, which may follow the ripple
     assert_allclose(u, np.linalg.norm([1e-6, deflected, 0.03 * found.deviation]), rtol=1e-6)
     # 1 mN m of order 2 without current: its slope over the angle, times 0.02 rad
@@ -450,15 +451,20 @@ def test_torque_without_current_of_an_order_that_the_angles_hide_is_in_the_rippl
     def torque(at: Array) -> Array:
         return sum(5e-4 * np.cos(order * at + order) for order in (1, 3, 22))
 
+    def slope_of(size: float) -> Array:
+        return 0.045 + size * np.cos(3 * angle) + (torque(angle + 0.08) - torque(angle)) / top
+
     def ripple(size: float) -> Quantity:
-        slope = 0.045 + size * np.cos(3 * angle) + (torque(angle + 0.08) - torque(angle)) / top
-        found = fit_angle_effects(ones, slope, slopes.u, angle)
+        found = fit_angle_effects(ones, slope_of(size), slopes.u, angle)
         return ripple_over_turn(found, 0.045, slopes, known=True)
 
     alike = {"u": np.full(len(angle), 1e-5), "rounding": np.zeros((1, len(angle)))}
     alike |= {"zero_u": np.full(len(angle), 1e-6)}
     alike |= {"deflection": 0.08, "deflection_u": 0.0, "ripple_u": 0.0, "friction_share": 0.0}
     slopes = replace(thesis.slopes, zero=torque(angle), rotor_angle=angle, **alike)
+    # without ripple, what the angles hide is off the square of what passes for some
+    passes = fit_angle_effects(ones, slope_of(0.0), slopes.u, angle).deviation / 0.045
+    assert ripple(0.0).value < 0.85 * passes
     found = ripple(2e-4)
     assert abs(found.value - 2e-4 / np.sqrt(2) / 0.045) < 2 * found.u
     assert stated_ripple(found, 18, 1e-4).u == found.u
