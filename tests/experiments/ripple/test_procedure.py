@@ -13,6 +13,7 @@ from rigtool.experiments.ripple.procedure import _friction_changes, _shaking_not
 from rigtool.experiments.ripple.procedure_steady import collected, steady_samples
 from rigtool.experiments.ripple.results import steps_note
 from rigtool.experiments.ripple.shared_scatter import shared_floor
+from rigtool.experiments.ripple.varying_speed import friction_changes
 from rigtool.quantity import Quantity
 from rigtool.recipe import load_recipe, override_recipe
 from rigtool.runfile import Column, RunWriter, Table, open_run
@@ -416,7 +417,10 @@ def test_friction_is_the_mean_torque_without_the_constant_one():
         changes = _friction_changes(last, means, even)
         alone = _friction_changes(last[:2] + last[3:], means[:2] + means[3:], even[1:])
         assert changes[:2] + changes[3:] == alone
-        assert changes[2] == changes[3] <= 2.001e-3 / math.sqrt(3)
+        speeds, friction = np.array([[1.0, 2.0, 4.0, 8.0], [2e-3, 3e-3, 5e-3, 6e-3]])[
+            :, : len(alone)
+        ]
+        assert changes[2] == changes[3] == friction_changes(speeds, friction, 0.9)[0]
         assert changes[0] == pytest.approx(1e-3 * 2.0)
     only = _friction_changes(recorded[2:3] + recorded[:1], [0.104, 3e-3], [0.9, 0.9])
     assert only[0] == pytest.approx(4e-3 / math.sqrt(3))
