@@ -417,10 +417,8 @@ def test_friction_is_the_mean_torque_without_the_constant_one():
         changes = _friction_changes(last, means, even)
         alone = _friction_changes(last[:2] + last[3:], means[:2] + means[3:], even[1:])
         assert changes[:2] + changes[3:] == alone
-        speeds, friction = np.array([[1.0, 2.0, 4.0, 8.0], [2e-3, 3e-3, 5e-3, 6e-3]])[
-            :, : len(alone)
-        ]
-        assert changes[2] == changes[3] == friction_changes(speeds, friction, 0.9)[0]
+        every = np.array([[1.0, 2.0, 4.0, 8.0], [2e-3, 3e-3, 5e-3, 6e-3]])
+        assert changes[2] == changes[3] == friction_changes(*every[:, : len(alone)], 0.9)[0]
         assert changes[0] == pytest.approx(1e-3 * 2.0)
     only = _friction_changes(recorded[2:3] + recorded[:1], [0.104, 3e-3], [0.9, 0.9])
     assert only[0] == pytest.approx(4e-3 / math.sqrt(3))
