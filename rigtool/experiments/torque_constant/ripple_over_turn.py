@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from rigtool.experiments.torque_constant.clampings import HIGHEST_APART
 from rigtool.experiments.torque_constant.staircases.fit import SAME_TEMPERATURE, Slopes
 from rigtool.numerics.angle_effects import AngleEffects, fit_angle_effects
 from rigtool.numerics.arrays import TINY, Array
+from rigtool.numerics.turn_mean import group_angles
 from rigtool.quantity import Quantity, combined, error_line
 
 RIPPLE_PATH_U = 0.25
@@ -19,9 +21,6 @@ staircase, from the torque with which it begins, and of its law only the mean of
 SMEARED = 0.05
 """Change of the slope of u exp(i a u) over a staircase of u from 0 to 1, in a2: its line of least
 squares has 1 + i a - 0.45 a2, and that from end to end exp(i a)."""
-
-ALIKE = 6**-0.5
-"""Root mean square of the part that two patterns of six orders have in common by chance."""
 
 SMALLEST_PART = 100.0
 """Range of the torques without current, over the errors of it that are considered at least."""
@@ -44,22 +43,22 @@ def ripple_over_turn(found: AngleEffects, value: float, slopes: Slopes, *, known
     is what that adds to the slopes.
     """
     order = np.repeat(np.arange(1, len(found.amplitudes) // 2 + 1), 2)
-    none = np.zeros(len(order)), 0.0, 0.0, 0.0
-    carried, hidden, left, begin = _carried(slopes) if known else none
-    square = found.amplitudes**2
-    own = found.deviation**2 + float(np.sum((found.amplitudes - carried) ** 2 - square)) / 2
-    deviation = math.sqrt(max(own - hidden**2, 0.0))
+    carried = _carried(slopes) if known else _nothing(len(order))
+    square, own = found.amplitudes**2, found.amplitudes - carried.amplitudes
+    whole = found.deviation**2 + float(np.sum(own**2 - square)) / 2
+    deviation = math.sqrt(max(whole - float(np.sum(carried.hidden)), 0.0))
     angle = math.hypot(slopes.deflection, slopes.deflection_u)
     turned = float(np.sum(square * (order * angle) ** 2) / max(np.sum(square), TINY))
-    path = math.hypot(deviation, begin) * RIPPLE_PATH_U * slopes.friction_share
+    path = math.hypot(deviation, carried.begin) * RIPPLE_PATH_U * slopes.friction_share
     path = math.hypot(path, deviation * slopes.ripple_u)
     smear = deviation * SMEARED * turned
-    more = math.hypot(deviation, left) - deviation  # of phases that have nothing in common
+    left = float(np.sum(carried.unknown) + carried.error @ carried.error / 2)
+    more = math.hypot(deviation, math.sqrt(left)) - deviation  # of what has no phase in common
     rounding = np.std(found.effect + slopes.rounding, axis=1) - np.std(found.effect)
     lines = [
         error_line("scatter", found.deviation_u / value, "1", found.deviation_dof),
         error_line("path of friction", path / value, "1"),
-        error_line(DEFLECTION, math.hypot(smear, more, ALIKE * left) / value, "1"),
+        error_line(DEFLECTION, math.hypot(smear, more, _alike(own, carried)) / value, "1"),
         error_line("gauge resolution", math.sqrt(float(np.mean(rounding**2))) / value, "1"),
     ]
     return combined(deviation / value, "1", lines)
@@ -81,13 +80,34 @@ def first_ripple(slopes: Slopes) -> Quantity:
     return Quantity(ripple, "1", reason="a measure of scatter itself")
 
 
-def _carried(slopes: Slopes) -> tuple[Array, float, float, float]:
-    """Return what torque without current that changes with the angle does to slopes, N m/A, as the
-    arm's deflection changes that torque.
+@dataclass(frozen=True)
+class _Carried:
+    """What torque without current that changes with the angle does to slopes, N m/A, as the arm's
+    deflection changes that torque.
 
-    These are amplitudes (2 K,); standard deviations over a turn of what the angles hide of it, and
-    of all that stays unknown, as the deflection does; and that of the torque itself, over the
-    largest current. What no order up to K explains may be of any up to `HIGHEST_APART`.
+    `amplitudes` (2 K,), and `error` (2 K,) by the deflection's standard uncertainty; by order up to
+    `HIGHEST_APART`, the mean squares over a turn that the angles hide, `hidden`, and `unknown` with
+    the deflection's own; `angles` counts those; `begin` is the standard deviation of the torque
+    itself, over the largest current.
+    """
+
+    amplitudes: Array
+    error: Array
+    hidden: Array
+    unknown: Array
+    angles: int
+    begin: float
+
+
+def _nothing(count: int) -> _Carried:
+    none, no_order = np.zeros(count), np.zeros(HIGHEST_APART)
+    return _Carried(none, none, no_order, no_order, 1, 0.0)
+
+
+def _carried(slopes: Slopes) -> _Carried:
+    """Return what the zeros of the staircases show of it.
+
+    What no order up to K explains may be of any up to `HIGHEST_APART`.
     """
     top = float(np.ptp(slopes.level))
     least = max(float(np.ptp(slopes.zero)), 1e-12) / SMALLEST_PART
@@ -97,15 +117,35 @@ def _carried(slopes: Slopes) -> tuple[Array, float, float, float]:
     turned = np.expm1(1j * order * slopes.deflection)
     count = len(zero.variance)
     cosine, sine = zero.amplitudes.reshape(-1, 2).T
-    moved = (cosine - 1j * sine) * turned[:count] / top
-    # Mean squares over a turn of each order, and of the unknown part of it.
+    wave = (cosine - 1j * sine) / top
+    moved = wave * turned[:count]
+    error = wave * (1j * order * (1 + turned))[:count] * slopes.deflection_u
     square = np.full(len(order), zero.beyond / (len(order) - count))
-    unknown = square.copy()
-    square[:count], unknown[:count] = (cosine**2 + sine**2) / 2, zero.variance / 2
-    hidden = math.sqrt(float(unknown @ np.abs(turned) ** 2)) / top
-    left = math.hypot(hidden, math.sqrt(float(square @ order**2)) * slopes.deflection_u / top)
-    carried = np.stack([moved.real, -moved.imag], axis=1).ravel()
-    return carried, hidden, left, zero.deviation / top
+    square[:count] = zero.variance / 2
+    square /= top**2
+    return _Carried(
+        np.stack([moved.real, -moved.imag], axis=1).ravel(),
+        np.stack([error.real, -error.imag], axis=1).ravel(),
+        square * np.abs(turned) ** 2,
+        square * (np.abs(turned) ** 2 + (order * slopes.deflection_u) ** 2),
+        len(group_angles(slopes.rotor_angle)[0]),
+        zero.deviation / top,
+    )
+
+
+def _alike(ripple: Array, carried: _Carried) -> float:
+    """Return the standard deviation of what is unknown in phase with the ripple (2 K,), N m/A.
+
+    An order of unknown phase has half of its mean square in phase with the same order of the
+    ripple, by the part of the ripple's square that this order is. Orders above K are other than the
+    ripple's; at m angles, two patterns have 1/m of their square in common.
+    """
+    part = ripple**2 / max(float(ripple @ ripple), TINY)
+    count = len(ripple) // 2
+    square = float(part.reshape(-1, 2).sum(axis=1) @ carried.unknown[:count]) / 2
+    square += float(np.sum(carried.unknown[count:])) / carried.angles
+    in_phase = float(ripple @ carried.error) / math.sqrt(max(2 * float(ripple @ ripple), TINY))
+    return math.hypot(math.sqrt(square), in_phase)
 
 
 def stated_ripple(ripple: Quantity, angles: int, single: float) -> Quantity | None:

@@ -15,6 +15,8 @@ from scipy import stats
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.clampings import clamping_angles
 from rigtool.experiments.torque_constant.ripple_over_turn import (
+    _alike,
+    _nothing,
     first_ripple,
     ripple_over_turn,
     stated_ripple,
@@ -377,12 +379,15 @@ def test_what_the_ripple_is_uncertain_by(thesis):
     assert_allclose(u, np.linalg.norm([1e-6, deflected, 0.025 * found.deviation]), rtol=1e-6)
     _, u, _ = of(ripple_u=0.03)  # friction of the staircases, which may follow the ripple
     assert_allclose(u, np.linalg.norm([1e-6, deflected, 0.03 * found.deviation]), rtol=1e-6)
-    # 1 mN m of order 2 without current: its slope over the angle, times 0.02 rad
-    value, u, _ = of(zero=1e-3 * np.cos(2 * bare.rotor_angle + 0.3))
-    carried = 2e-3 / np.sqrt(2) * 0.02 / np.ptp(bare.level)
-    assert_allclose(value, found.deviation, rtol=1e-6)  # not known to be carried at all
-    more = np.hypot(found.deviation, carried) - found.deviation
-    assert_allclose(u, np.linalg.norm([1e-6, deflected, more, carried / np.sqrt(6)]), rtol=0.02)
+    # 1 mN m without current: its slope over the angle, times 0.02 rad, which turns the ripple's
+    # order in phase with it, or none of it
+    top = float(np.ptp(bare.level))
+    for order, phase, in_phase in ((2, 0.3, 0.0), (3, 0.3, math.sin(0.3)), (3, 0.0, 0.0)):
+        value, u, _ = of(zero=1e-3 * np.cos(order * bare.rotor_angle + phase))
+        carried = order * 1e-3 / np.sqrt(2) * 0.02 / top
+        assert_allclose(value, found.deviation, rtol=1e-6)  # not known to be carried at all
+        more = np.hypot(found.deviation, carried) - found.deviation
+        assert_allclose(u, np.linalg.norm([1e-6, deflected, more, carried * in_phase]), rtol=0.02)
     # a gauge that rounds by its zero: the root mean square of what each place adds
     angle = bare.rotor_angle
     errors = np.stack([3e-6 * np.cos(angle), 4e-6 * np.cos(angle) + 1e-3])
@@ -394,6 +399,31 @@ def test_what_the_ripple_is_uncertain_by(thesis):
     _, u, _ = of(friction_share=0.1, zero=offset, deflection_u=0.0)
     own = math.sqrt(own**2 - deflected**2)
     assert_allclose(u, np.hypot(own, 0.025 * 1e-3 / np.sqrt(2) / np.ptp(bare.level)), rtol=0.02)
+
+
+def test_what_an_unknown_phase_has_in_common_with_the_ripple():
+    """By phases drawn: of orders that the ripple has, of one it has not, and of one above it."""
+    rng, count, angles = np.random.default_rng(1), 20000, 32
+    angle = 2 * np.pi * (np.arange(angles) + rng.random(angles)) / angles
+    amplitudes = {2: 3e-4, 5: 1e-4}
+    ripple = np.zeros(24)
+    ripple[[2, 9]] = list(amplitudes.values())  # cosine of order 2, sine of order 5
+    shape = 3e-4 * np.cos(2 * angle) + 1e-4 * np.sin(5 * angle)
+    for unknown in ((2, 5), (5,), (3,)):
+        wide = np.zeros(48)
+        wide[np.array(unknown) - 1] = 4e-8 / 2  # mean squares of amplitudes of 2e-4
+        carried = replace(_nothing(24), unknown=wide, angles=angles)
+        own = sum(
+            amplitudes.get(order, 0.0) * 2e-4 * np.cos(rng.uniform(0, 7, count)) / 2
+            for order in unknown
+        ) / math.sqrt(sum(each**2 for each in amplitudes.values()) / 2)
+        assert_allclose(_alike(ripple, carried), np.std(own), rtol=0.1, atol=1e-9)
+    order = rng.integers(13, 49, count)
+    waves = 2e-4 * np.cos(np.outer(angle, order) + rng.uniform(0, 2 * np.pi, count))
+    shape -= shape.mean()
+    own = shape @ (waves - waves.mean(axis=0)) / angles / np.std(shape)
+    carried = replace(_nothing(24), unknown=np.repeat([0.0, 2e-8 / 36], [12, 36]), angles=angles)
+    assert_allclose(_alike(ripple, carried), np.std(own), rtol=0.15)
 
 
 @pytest.mark.parametrize("rise", [0.0, 1.0])
@@ -448,25 +478,31 @@ def test_torque_without_current_of_an_order_that_the_angles_hide_is_in_the_rippl
     angle = clamping_angles((20.0, 30.0, 40.0), 6).ravel()
     ones, top = np.ones((len(angle), 1)), float(np.ptp(thesis.slopes.level))
 
-    def torque(at: Array) -> Array:
-        return sum(5e-4 * np.cos(order * at + order) for order in (1, 3, 22))
+    def torque(at: Array, phases: tuple[float, ...]) -> Array:
+        waves = zip((1, 3, 22), phases, strict=True)
+        return sum(5e-4 * np.cos(order * at + phase) for order, phase in waves)
 
-    def slope_of(size: float) -> Array:
-        return 0.045 + size * np.cos(3 * angle) + (torque(angle + 0.08) - torque(angle)) / top
+    def slope_of(size: float, *phases: float) -> Array:
+        moved = torque(angle + 0.08, phases) - torque(angle, phases)
+        return 0.045 + size * np.cos(3 * angle) + moved / top
 
-    def ripple(size: float) -> Quantity:
-        found = fit_angle_effects(ones, slope_of(size), slopes.u, angle)
-        return ripple_over_turn(found, 0.045, slopes, known=True)
+    def ripple(size: float, *phases: float) -> Quantity:
+        found = fit_angle_effects(ones, slope_of(size, *phases), slopes.u, angle)
+        own = replace(slopes, zero=torque(angle, phases))
+        return ripple_over_turn(found, 0.045, own, known=True)
 
     alike = {"u": np.full(len(angle), 1e-5), "rounding": np.zeros((1, len(angle)))}
     alike |= {"zero_u": np.full(len(angle), 1e-6)}
     alike |= {"deflection": 0.08, "deflection_u": 0.0, "ripple_u": 0.0, "friction_share": 0.0}
-    slopes = replace(thesis.slopes, zero=torque(angle), rotor_angle=angle, **alike)
+    slopes = replace(thesis.slopes, rotor_angle=angle, **alike)
     # without ripple, what the angles hide is off the square of what passes for some
-    passes = fit_angle_effects(ones, slope_of(0.0), slopes.u, angle).deviation / 0.045
-    assert ripple(0.0).value < 0.85 * passes
-    found = ripple(2e-4)
-    assert abs(found.value - 2e-4 / np.sqrt(2) / 0.045) < 2 * found.u
+    passes = fit_angle_effects(ones, slope_of(0.0, 1, 3, 22), slopes.u, angle).deviation / 0.045
+    assert ripple(0.0, 1, 3, 22).value < 0.85 * passes
+    found = ripple(2e-4, 1, 3, 22)
+    drawn = [ripple(2e-4, *phases) for phases in np.random.default_rng(0).uniform(0, 7, (60, 3))]
+    pulls = [(each.value - 2e-4 / np.sqrt(2) / 0.045) / each.u for each in (found, *drawn)]
+    assert 0.7 < np.sqrt(np.mean(np.square(pulls))) < 1.3
+    assert np.max(np.abs(pulls)) < 5
     assert stated_ripple(found, 18, 1e-4).u == found.u
     hides = combined(1e-3, "1", [error_line("deflection of the arm", 2e-3, "1")])
     assert "take a stiffer arm" in stated_ripple(hides, 18, 1e-4).reason
