@@ -359,14 +359,14 @@ static inline void rs_advance(struct rigtool_sensor *s, rs_real torque, rs_real 
     rs_real cosine = s->cosine * held - s->sine * shift;
     rs_real root = RS_MATH(sqrt)(twist * twist + rs_square(m->load_friction_onset));
     rs_real carried = (root - m->load_friction_onset) * (1 / m->torque_factor);
-    rs_real leaning = m->housing_friction * (1 + m->housing_asymmetry * h.after);
+    rs_real sided = m->housing_friction * m->housing_asymmetry * h.after;
     rs_real per_load = m->load_friction * (1 + x[RS_LOAD]);
     rs_real waves = x[RS_SINE] * sine + x[RS_COSINE] * cosine;
-    rs_real housing = leaning * map + per_load * carried + waves;
-    rs_real by_h = housing + m->housing_friction * m->housing_asymmetry * map * h.after;
+    rs_real housing = m->housing_friction * map + sided + per_load * carried + waves;
+    rs_real by_h = housing + sided;
     rs_real by_twist = 1 / m->torque_factor * (1 + per_load * twist / root * h.after);
-    rs_real by_a = (leaning * slope * (RS_HOUSING_CELLS / RS_TURN) + x[RS_SINE] * cosine
-                    - x[RS_COSINE] * sine) * h.after;
+    rs_real by_a = (m->housing_friction * slope * (RS_HOUSING_CELLS / RS_TURN)
+                    + x[RS_SINE] * cosine - x[RS_COSINE] * sine) * h.after;
 
     /* speed of rotor and output a sample later, by what was before */
     const rs_real w_by_angle = -e * by_twist * k * ratio;

@@ -8,7 +8,7 @@ torque M on the output from outside, positive where it resists positive motion:
     Jg dv/dt = s - Ft t - M
     s = k (theta/r - a) + c (w/r - v)                                       tendon
     F(w) = Fc + (Fs - Fc) exp(-(w/vs)^2)                                    Stribeck
-    L = Fh m(a) (1 + Ah h) + l (1 + load) (sqrt(s^2 + o^2) - o)/g + sine sin a + cosine cos a
+    L = Fh (m(a) + Ah h) + l (1 + load) (sqrt(s^2 + o^2) - o)/g + sine sin a + cosine cos a
     dz/dx = (1 - z sign dx) / x0,  likewise h over theta, t over a          P. R. Dahl, AIAA J.
                                                                             14(12) 1675-1682, 1976
     x0 = x1 (1 - (1 - r) max(0, 1 - |w| / vs)) of z: r of its length x1 acts at rest
@@ -138,14 +138,16 @@ def _housing(p: Record, friction_map: Array, x: Array, h: float, twist: float) -
     sine, cosine = math.sin(x[GRASPER]), math.cos(x[GRASPER])
     root = math.sqrt(twist * twist + p.load_friction_onset**2)
     carried = (root - p.load_friction_onset) / p.torque_factor
-    leaning = p.housing_friction * (1.0 + p.housing_asymmetry * h)
+    sided = p.housing_friction * p.housing_asymmetry * h
     per_load = p.load_friction * (1.0 + x[LOAD])
-    level = leaning * by_angle + per_load * carried + x[SINE] * sine + x[COSINE] * cosine
+    level = p.housing_friction * by_angle + sided + per_load * carried
+    level += x[SINE] * sine + x[COSINE] * cosine
+    slope *= p.housing_friction * per_angle
     return (
         level * h,
-        level + p.housing_friction * p.housing_asymmetry * by_angle * h,
+        level + sided,
         per_load * twist / (root * p.torque_factor) * h,
-        (leaning * slope * per_angle + x[SINE] * cosine - x[COSINE] * sine) * h,
+        (slope + x[SINE] * cosine - x[COSINE] * sine) * h,
         p.load_friction * carried * h,
     )
 

@@ -140,16 +140,33 @@ def _results(
     results = {"valid_share": Quantity(share, "1", reason="counted")}
     if known.any():
         torque, u = whole.torque[known], whole.u[known]
-        peak = peak_row(torque, u)
-        results["peak_torque"] = Quantity(float(torque[peak]), "N m", float(u[peak]))
+        largest, largest_u = peak(torque, u)
+        results["peak_torque"] = Quantity(largest, "N m", largest_u)
         results["mean_torque"] = Quantity(float(torque.mean()), "N m", float(u.mean()))
     return results
 
 
-def peak_row(torque: Array, u: Array) -> int:
-    """Return the row with the largest magnitude that the torque surely has, by its 95 % interval:
-    the largest torque alone may be that of a row of large u, such as the last ones."""
-    return int(np.argmax(np.abs(torque) - COVERAGE_FACTOR * u))
+def peak(torque: Array, u: Array) -> tuple[float, float]:
+    """Return the peak of a torque (m,) of u (m,), and its standard uncertainty; N m.
+
+    The peak is the torque M whose 95 % interval is farthest from zero: the largest torque alone may
+    be that of a row of large u, such as the last ones. Two things are open besides u of that row:
+
+        u_p^2 = u^2 (1 + 2 ln n) + (max|torque| - |M|)^2 / 3
+
+    Of n maxima whose intervals hold M, which may all be alike, the one with the largest error is
+    taken: the largest of n normal errors is about sqrt(2 ln n) u (H. A. David, H. N. Nagaraja,
+    Order Statistics, 3rd ed. 2003, chapter 10). The torque may have been as large as the largest
+    one, in a row of larger u: a rectangle (GUM 4.3.7).
+    """
+    size = np.abs(torque)
+    row = int(np.argmax(size - COVERAGE_FACTOR * u))
+    beside = np.pad(size, 1, constant_values=-np.inf)
+    maximum = (size >= beside[:-2]) & (size > beside[2:])
+    alike = int(np.count_nonzero(maximum & (size + COVERAGE_FACTOR * u >= size[row])))
+    chance = 1 + 2 * math.log(max(alike, 1))
+    variance = u[row] ** 2 * chance + (size.max() - size[row]) ** 2 / 3
+    return float(torque[row]), math.sqrt(variance)
 
 
 def _table(

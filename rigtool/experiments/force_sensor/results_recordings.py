@@ -26,7 +26,7 @@ from rigtool.experiments.force_model.contacts import (
 from rigtool.experiments.force_sensor.results_over_time import (
     TorqueRows,
     over_time_tables,
-    peak_row,
+    peak,
 )
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array
@@ -88,14 +88,12 @@ def _events(parts: Sequence[tuple[int, TorqueRows]]) -> dict[str, Table]:
         for event in events(row.contacts, row.torque, half, row.every, row.step_time):
             span = event.rows(row.every)
             torque, u = row.torque[span][known[span]], row.u[span][known[span]]
-            peak, rms = peak_row(torque, u), float(np.sqrt(np.mean(torque**2)))
+            rms = float(np.sqrt(np.mean(torque**2)))
             clear = torque[np.abs(torque) > COVERAGE_FACTOR * u]
             waves = 1 + int(np.count_nonzero(np.diff(np.sign(clear))))
             times = row.time[0] + step_time * np.array([event.begin, event.found, event.end])
             means = torque.mean(), u.mean(), rms, np.mean(np.abs(torque) * u) / rms
-            # the largest of n half waves is off by sqrt(2 ln n) u in the mean, if they are alike
-            peak_u = u[peak] * math.sqrt(1 + 2 * math.log(waves))
-            found.append((number, *times, torque[peak], peak_u, *means, waves))
+            found.append((number, *times, *peak(torque, u), *means, waves))
     if not found:
         return {}
     numbers = np.array(found).T

@@ -25,7 +25,8 @@ the torque before it was taken off, |h| is at most |m_+ - m_-| / 2 of the torque
 A load that opposes every motion alike, such as a damper, cannot be distinguished from friction.
 
 Friction that grows with the load more than the tables hold shows where something touches through a
-reversal: with the torques m_1 before, in direction d, and m_2 after it,
+reversal: with the torques m_1 before, in direction d, and m_2 after it, at the same angles, where
+a spring has the same torque,
 
     l = d (m_1 - m_2) / |m_1 + m_2|,    u^2 + (median of l)^2 M^2 instead of u^2
 
@@ -40,6 +41,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rigtool.numerics.arrays import Array, Mask
 
@@ -63,8 +65,8 @@ LASTING_CELLS, MOSTLY = 0.9, 0.5
 """Part of the cells in which a torque that lasts is alike; part of the passes that is most."""
 
 NEXT_TIME, REVERSAL_TIME, LOAD_OVER_U = 0.06, 0.4, 10.0
-"""Time before and after a reversal that is compared, s; the longest reversal, s; and the least load
-in u: errors of both sides are far below it."""
+"""Time after a reversal that is compared with the same angles before it, s; the longest reversal,
+and the longest time before it, s; and the least load in u: errors of both sides are far below."""
 
 SPEED_TIME = 0.055
 """Time over which the direction is found, s."""
@@ -123,7 +125,7 @@ class Passes:
             found.append(np.where(count > 0, sums, np.nan) / np.maximum(count, 1))
         means = np.array(found).reshape(-1, 3, ANGLE_CELLS)
         signs = np.array([way[span.start] for span in spans])
-        shares = _shares(spans, signs, torque, u, step_time)
+        shares = _shares(spans, signs, angle, torque, u, step_time)
         return cls(signs, means[:, 0], means[:, 1], shares, means[:, 2])
 
 
@@ -238,20 +240,35 @@ def _cells(parts: Sequence[Passes], hand: float | None) -> Array:
 
 
 def _shares(
-    spans: Sequence[slice], signs: Array, torque: Array, u: Array, step_time: float
+    spans: Sequence[slice], signs: Array, angle: Array, torque: Array, u: Array, step_time: float
 ) -> Array:
     """Return l of the reversals under a load (r,), from spans of rows without a reversal."""
     next_to, longest = max(1, round(NEXT_TIME / step_time)), round(REVERSAL_TIME / step_time)
     found = []
     for number, (before, after) in enumerate(itertools.pairwise(spans)):
-        short = min(before.stop - before.start, after.stop - after.start) < next_to
-        if short or after.start - before.stop > longest or signs[number] == signs[number + 1]:
+        if signs[number] == signs[number + 1] or after.start - before.stop > longest:
             continue
-        ends = slice(before.stop - next_to, before.stop), slice(after.start, after.start + next_to)
+        ends = _same_angles(before, after, signs[number] * angle, next_to)
+        if ends is None or before.stop - ends[0].min() > longest:
+            continue
         first, second = (float(torque[end].mean()) for end in ends)
         if abs(first + second) / 2 > LOAD_OVER_U * max(float(u[end].mean()) for end in ends):
             found.append(signs[number] * (first - second) / abs(first + second))
     return np.array(found)
+
+
+def _same_angles(
+    before: slice, after: slice, path: Array, size: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp]] | None:
+    """Return the rows (size,) on either side of a reversal that are nearest to it at the same
+    angles; None where a side does not have them. The `path` (m,) rad rises before it and falls
+    after it."""
+    there = np.maximum.accumulate(path[before])
+    begin = after.start + int(np.argmax(path[after] <= there[-1]))
+    rows = np.arange(begin, begin + size)
+    if rows[-1] >= after.stop or path[rows].max() > there[-1] or path[rows].min() < there[0]:
+        return None
+    return before.start + np.searchsorted(there, path[rows]), rows
 
 
 def unknown_share(parts: Sequence[Passes]) -> float:

@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.force_model.contacts import JUMP_WINDOW, Contact
-from rigtool.experiments.force_sensor.results_over_time import TorqueRows, over_time_tables
+from rigtool.experiments.force_sensor.results_over_time import TorqueRows, over_time_tables, peak
 from rigtool.experiments.force_sensor.results_recordings import _events
 
 STEP, EVERY, ROWS = 5e-3, 5, 400
@@ -121,3 +122,23 @@ def test_a_reference_that_is_never_known_judges_nothing():
     assert set(tables) == {"force"}
     assert set(results) == {"valid_share", "peak_torque", "mean_torque"}
     assert "force_accuracy" in over_time_tables([own, never], 5e-3, 30.0)[1]
+
+
+def test_a_peak_holds_the_largest_torque_of_a_push_that_stays():
+    rng, u, found = np.random.default_rng(5), 0.4e-3, []
+    kept = np.exp(-STEP / 0.05)
+    for _ in range(300):
+        noise = rng.normal(0.0, u, ROWS) * np.sqrt(1 - kept**2)
+        errors = lfilter([1.0], [1.0, -kept], noise)
+        value, own = peak(-20e-3 + errors, np.full(ROWS, u))
+        found.append((value + 20e-3) / own)
+    assert np.mean(np.abs(found) < 1.96) > 0.93
+    assert np.std(found) < 1.0
+
+
+def test_a_peak_may_be_that_of_rows_of_larger_uncertainty():
+    torque, u = np.full(9, 10e-3), np.full(9, 0.1e-3)
+    torque[4], u[4] = 13e-3, 2e-3
+    value, own = peak(torque, u)
+    assert value == 10e-3
+    assert own**2 == pytest.approx((0.1e-3) ** 2 * (1 + 2 * np.log(2)) + (3e-3) ** 2 / 3, rel=1e-9)

@@ -152,6 +152,18 @@ def test_friction_under_load_shows_where_the_load_stays_through_reversals(share,
     assert unknown_share([reversals(share, np.full(6, load))]) == pytest.approx(share, rel=0.1)
 
 
+def test_a_spring_at_the_end_of_the_strokes_is_no_friction():
+    """The rotor slides sooner before a turn than after it, where its bristles bend."""
+    step, rows, turns = 5e-3, 200, 8
+    phase = np.arange(turns * rows)
+    angle = 1e-2 * np.where(phase // rows % 2, rows - phase % rows, phase % rows)
+    torque = 40e-3 * np.maximum(angle - 1.0, 0.0)
+    sliding = (phase % rows > 20) & (rows - phase % rows > 1)
+    found = Passes.of(step, angle, sliding, (0.0, 2.0), torque, np.full(len(phase), U))
+    assert len(found.shares) == 4
+    np.testing.assert_allclose(found.shares, 0.0, atol=1e-3)
+
+
 def test_loads_that_come_and_go_at_reversals_and_few_of_them_show_none():
     assert unknown_share([reversals(0.0, np.full(6, 30e-3))]) == 0.0
     assert unknown_share([reversals(0.1, np.full(4, 30e-3), turns=4)]) == 0.0

@@ -59,30 +59,37 @@ def test_passes_are_stretches_of_one_direction_in_cells_of_the_angle(seed, step_
 
 @pytest.mark.parametrize("seed", range(4))
 def test_shares_are_those_of_reversals_under_a_load(seed):
-    """Rows of 0.06 s on both sides, 0.4 s apart at most; loads of ten u and more."""
+    """0.06 s after it, the same angles in 0.4 s before it, 0.4 s apart; loads of ten u and more."""
     rng = np.random.default_rng(seed)
-    lengths, gaps = rng.integers(1, 12, 30), rng.choice([0, 5, 20, 21], 30)
-    spans, at = [], 0
-    for length, gap in zip(lengths.tolist(), gaps.tolist(), strict=True):
+    lengths, gaps = rng.integers(1, 30, 120), rng.choice([0, 5, 20, 21], 120)
+    spans, at, parts, here = [], 0, [], 0.0
+    signs = rng.choice([1.0, -1.0], 120)
+    for length, gap, sign in zip(lengths.tolist(), gaps.tolist(), signs, strict=True):
         spans.append(slice(at, at + length))
-        at += length + gap
-    signs = rng.choice([1.0, -1.0], 30)
-    load = np.repeat(rng.choice([-30e-3, 9e-3, 30e-3], 30), lengths + gaps)
+        parts.append(here + sign * np.arange(length + gap) * (np.arange(length + gap) < length))
+        here, at = parts[-1][length - 1] + rng.choice([0.0, sign]), at + length + gap
+    angle = np.concatenate(parts)
+    load = np.repeat(rng.choice([-30e-3, 9e-3, 30e-3], 120), lengths + gaps)
     torque = load + 2e-3 * rng.standard_normal(at)
     u = 1e-3 * rng.choice([0.7, 1.0, 1.3], at)
     expected = []
-    for number in range(29):
+    for number in range(119):
         before, after = spans[number], spans[number + 1]
         if signs[number] == signs[number + 1] or after.start - before.stop > 20:
             continue
-        if before.stop - before.start < 3 or after.stop - after.start < 3:
+        passed = {float(angle[k]): k for k in range(before.start, before.stop)}
+        two = [k for k in range(after.start, after.stop) if k > after.start or angle[k] in passed]
+        two = two[:3]
+        if len(two) < 3 or any(float(angle[k]) not in passed for k in two):
             continue
-        one, two = range(before.stop - 3, before.stop), range(after.start, after.start + 3)
+        one = [passed[float(angle[k])] for k in two]
+        if before.stop - min(one) > 20:
+            continue
         first, second = torque[one].mean(), torque[two].mean()
         if abs(first + second) / 2 > 10 * max(u[one].mean(), u[two].mean()):
             expected.append(signs[number] * (first - second) / abs(first + second))
-    assert expected
-    assert_allclose(_shares(spans, signs, torque, u, STEP), expected, rtol=1e-9)
+    assert len(expected) > 3
+    assert_allclose(_shares(spans, signs, angle, torque, u, STEP), expected, rtol=1e-9)
 
 
 def of_shares(*values):
