@@ -33,7 +33,6 @@ from rigtool.experiments.force_model.rest import (
     FILTER_SETTLING_TIME,
     Exploration,
     learn_rest,
-    learn_resting_part,
     learn_turns,
 )
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
@@ -137,7 +136,6 @@ def learn_force(
         least = TURNING_SPEED_RATIO * max(r.condition("speed") for r in moves)
         turns = [_signals(r, recipe) for r in moves if r.condition("speed") >= least]
         found = learn_turns(found, [_motion(turn, under) for turn in turns], uncertainty)
-        found = learn_resting_part(found, resting, uncertainty)
     model = ForceModel(found, deviating)
     slowest = min(r.condition("speed") for r in strokes)
     creeping = CREEP_SPEED_RATIO * slowest
