@@ -147,7 +147,7 @@ def learn_force(
         # an error of the known loads is one of all that is read in terms of them
         widths[..., 1] = np.hypot(widths[..., 1], rig.loads_relative_u)
         model = replace(model, scales=widths)
-    slow, faster = untouched_motions(strokes, moves)
+    slow, faster = untouched_motions(strokes, moves, checks)
     free = [_known(r, recipe, kt) for r in (explored, *slow)]
     free += [(_signals(r, recipe), _condition(recipe, kt, warm, 0.0)) for r in faster]
     tried = [_trial(*one, recipe, model, creeping) for one in free]
@@ -170,12 +170,17 @@ def _as_long(
 
 
 def untouched_motions(
-    strokes: Sequence[Recording], moves: Sequence[Recording]
+    strokes: Sequence[Recording], moves: Sequence[Recording], checks: Sequence[Recording]
 ) -> tuple[list[Recording], list[Recording]]:
-    """Return the strokes without load at the slowest speed, and the faster moves: an error that
-    looks like a contact may show at some speeds only."""
+    """Return the checks without load with the strokes without load at the slowest speed, and the
+    faster moves: an error that looks like a contact may show at some speeds only.
+
+    Nothing is fitted to a check: errors of the exploration alone, to which rest is fitted, would
+    state too low a threshold.
+    """
     slowest = min(r.condition("speed") for r in strokes)
-    slow = [r for r in strokes if (r.condition("speed"), r.condition("force")) == (slowest, 0)]
+    slow = [r for r in checks if r.condition("force") == 0]
+    slow += [r for r in strokes if (r.condition("speed"), r.condition("force")) == (slowest, 0)]
     return slow, [r for r in moves if r.condition("speed") > slowest]
 
 
