@@ -115,7 +115,6 @@ struct rs_model {
     rs_real presliding_damping, angle_ratio, torque_factor, stiffness, damping, grasper_inertia;
     rs_real housing_friction, housing_asymmetry, housing_presliding_angle;
     rs_real tip_friction, tip_presliding_angle, load_friction, load_friction_onset;
-    rs_real resting_part;
     /* how far the equations may be off: standard deviations, and squares of random walks a step */
     rs_real stroke, load_stroke, friction_noise, noise_kept, undecided, edge;
     rs_real torque_start, bristle_start, speed_start;
@@ -328,15 +327,10 @@ static inline void rs_advance(struct rigtool_sensor *s, rs_real torque, rs_real 
     const rs_real dt = m->sample_time, k = m->stiffness, c = m->damping;
     const rs_real e = dt / m->inertia, f = dt / m->grasper_inertia, ratio = 1 / m->angle_ratio;
     rs_real *x = s->x, w = x[RS_SPEED], v = x[RS_GRASPER_SPEED];
-    /* about rest the bristle is shorter: its length grows with the speed up to Stribeck's */
-    rs_real slow = 1 - RS_MATH(fabs)(w) * (1 / m->stribeck_velocity);
-    rs_real left = slow > 0 ? 1 - (1 - m->resting_part) * slow : 1;
-    struct rs_bristle z = rs_bend(x[RS_BRISTLE], w, left * m->presliding_angle, s->spread);
+    struct rs_bristle z = rs_bend(x[RS_BRISTLE], w, m->presliding_angle, s->spread);
     struct rs_bristle h = rs_bend(x[RS_HOUSING], w, m->housing_presliding_angle, s->spread);
     struct rs_bristle t = rs_bend(x[RS_TIP], v, m->tip_presliding_angle, s->outer_spread);
     rs_real twist = k * (x[RS_ANGLE] * ratio - x[RS_GRASPER]) + c * (w * ratio - v);
-    if (slow > 0)
-        z.by_speed *= m->resting_part / left;
 
     /* bearings */
     rs_real fast = w * (1 / m->stribeck_velocity), rate = m->presliding_damping / dt;

@@ -11,7 +11,6 @@ torque M on the output from outside, positive where it resists positive motion:
     L = Fh (m(a) + Ah h) + l (1 + load) (sqrt(s^2 + o^2) - o)/g + sine sin a + cosine cos a
     dz/dx = (1 - z sign dx) / x0,  likewise h over theta, t over a          P. R. Dahl, AIAA J.
                                                                             14(12) 1675-1682, 1976
-    x0 = x1 (1 - (1 - r) max(0, 1 - |w| / vs)) of z: r of its length x1 acts at rest
 
 T is the torque from current and position (torque constant, ripple, cogging) and b the bearings'
 viscous friction. Both are inputs, sample by sample, because they hardly depend on the angle within
@@ -53,8 +52,7 @@ class Plant:
     `asymmetry` are Fc, Fs, vs and A of the bearings, with the bristle's length `presliding_angle`
     x0 [rad] and damping D [s]; `housing_...` are Fh, Ah, B and x0 of the housing at the motor,
     `tip_...` Ft and x0 at the grasper; `load_friction` l and `load_friction_onset` o [N m].
-    `friction_map` (n + 1,) is m over one turn of a, `resting_part` what is left of the bearings' x0
-    at rest. A bare pulley has no grasper_inertia, housing,
+    `friction_map` (n + 1,) is m over one turn of a. A bare pulley has no grasper_inertia, housing,
     tip and load friction, and the factors 1.
     """
 
@@ -80,7 +78,6 @@ class Plant:
     load_friction: float
     load_friction_onset: float
     friction_map: Array
-    resting_part: float = 1.0
 
 
 def as_record(parameters: Any) -> NDArray[np.void]:
@@ -176,11 +173,7 @@ def advance(
     pull, drag = (0.0, 0.0) if bare else (p.stiffness, p.damping)
     rotor_pull, rotor_drag = pull / r, drag / r
     w, v, a, old = x[SPEED], x[GRASPER_SPEED], x[GRASPER], x[BRISTLE]
-    # about rest the bristle is shorter: x0 grows with the speed up to Stribeck's
-    part = 1.0 - (1.0 - p.resting_part) * max(0.0, 1.0 - abs(w) / p.stribeck_velocity)
-    z, z_by_z, z_by_w = _bend(old, w, dt, part * p.presliding_angle, spread)
-    if abs(w) < p.stribeck_velocity:
-        z_by_w *= p.resting_part / part
+    z, z_by_z, z_by_w = _bend(old, w, dt, p.presliding_angle, spread)
     h, h_by_h, h_by_w = _bend(x[HOUSING], w, dt, p.housing_presliding_angle, spread)
     t, t_by_t, t_by_v = _bend(x[TIP], v, dt, p.tip_presliding_angle, grasper_spread)
     twist = x[TORQUE] if bare else pull * (x[ANGLE] / r - a) + drag * (w / r - v)

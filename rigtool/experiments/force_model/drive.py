@@ -176,5 +176,4 @@ def plant_of(model: LearnedModel, sample_time: float) -> Plant:
         load_friction=sums[Kind.LOAD_FRICTION] * factor / known.torque_factor,
         load_friction_onset=shape.load_onset,
         friction_map=housing / mean,
-        resting_part=shape.resting_part,
     )

@@ -85,9 +85,8 @@ class Shape:
 
     Lengths of the bristles of bearing and housing, rad of the motor, and of the tip, rad of the
     output; `stribeck_speed` rad/s; `ripple_time` s of the lag; tendon `stiffness` N m/rad and
-    `damping` N m s/rad, `tip_friction` N m, the `grasper_inertia` kg m2 of the bare output;
-    `load_onset` N m, the torque in the tendon from which on friction grows with it; and the part of
-    the bearing's length that acts about rest, `resting_part`.
+    `damping` N m s/rad, `tip_friction` N m, the `grasper_inertia` kg m2 of the bare output; and
+    `load_onset` N m, the torque in the tendon from which on friction grows with it.
     """
 
     bearing_length: float
@@ -100,7 +99,6 @@ class Shape:
     tip_friction: float
     grasper_inertia: float
     load_onset: float
-    resting_part: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,6 @@ from rigtool.experiments.force_model.rest import (
     FILTER_SETTLING_TIME,
     Exploration,
     learn_rest,
-    learn_resting_part,
     learn_turns,
 )
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
@@ -137,7 +136,6 @@ def learn_force(
         least = TURNING_SPEED_RATIO * max(r.condition("speed") for r in moves)
         turns = [_signals(r, recipe) for r in moves if r.condition("speed") >= least]
         found = learn_turns(found, [_motion(turn, under) for turn in turns], uncertainty)
-        found = learn_resting_part(found, resting, uncertainty)
     model = ForceModel(found, deviating)
     slowest = min(r.condition("speed") for r in strokes)
     creeping = CREEP_SPEED_RATIO * slowest
@@ -149,7 +147,7 @@ def learn_force(
         # an error of the known loads is one of all that is read in terms of them
         widths[..., 1] = np.hypot(widths[..., 1], rig.loads_relative_u)
         model = replace(model, scales=widths)
-    slow, faster = untouched_motions(strokes, moves)
+    slow, faster = untouched_motions(strokes, moves, checks)
     free = [_known(r, recipe, kt) for r in (explored, *slow)]
     free += [(_signals(r, recipe), _condition(recipe, kt, warm, 0.0)) for r in faster]
     tried = [_trial(*one, recipe, model, creeping) for one in free]
@@ -172,12 +170,17 @@ def _as_long(
 
 
 def untouched_motions(
-    strokes: Sequence[Recording], moves: Sequence[Recording]
+    strokes: Sequence[Recording], moves: Sequence[Recording], checks: Sequence[Recording]
 ) -> tuple[list[Recording], list[Recording]]:
-    """Return the strokes without load at the slowest speed, and the faster moves: an error that
-    looks like a contact may show at some speeds only."""
+    """Return the checks without load with the strokes without load at the slowest speed, and the
+    faster moves: an error that looks like a contact may show at some speeds only.
+
+    Nothing is fitted to a check: errors of the exploration alone, to which rest is fitted, would
+    state too low a threshold.
+    """
     slowest = min(r.condition("speed") for r in strokes)
-    slow = [r for r in strokes if (r.condition("speed"), r.condition("force")) == (slowest, 0)]
+    slow = [r for r in checks if r.condition("force") == 0]
+    slow += [r for r in strokes if (r.condition("speed"), r.condition("force")) == (slowest, 0)]
     return slow, [r for r in moves if r.condition("speed") > slowest]
 
 

@@ -14,10 +14,6 @@ inertia, delay, drag and friction by the turns of fast strokes. All other parame
 by their covariance. Large errors count in proportion (P. J. Huber, Ann. Math. Stat. 35(1) 73-101,
 1964). The least torque on the output would be biased: how much of an error a filter takes for a
 torque depends on the parameters, and long bristles leave more to friction.
-
-About rest the filter that reads forces has smaller errors with a shorter bristle than the true one,
-which turns show, even where all else is true. The part of its length that acts there is searched
-last: there that filter finds the least torque, although none acts.
 """
 
 from __future__ import annotations
@@ -32,7 +28,6 @@ from rigtool.experiments.force_filter.estimate import Filter, Signals
 from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_filter.plant import Plant
 from rigtool.experiments.force_model.drive import MotorMap, drive_of, plant_of
-from rigtool.experiments.force_model.intervals import least_at
 from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind
 from rigtool.experiments.force_model.records import halved
@@ -43,7 +38,6 @@ from rigtool.experiments.force_model.sliding_problem import (
 )
 from rigtool.experiments.force_model.steps import FilterSteps, Sampler
 from rigtool.numerics.arrays import Array
-from rigtool.numerics.lowpass import delayed
 
 
 @dataclass(frozen=True)
@@ -68,9 +62,6 @@ CORNER_HZ = 10.0
 FILTER_SETTLING_TIME = 1.0
 """Settling time of the filter at its begin, s."""
 
-ROW_ERROR = 0.03
-"""Usual error of the torque about rest, in parts of the friction."""
-
 SHORT, LONG, SHARES = (0.5, 1.0, 2.0), (0.33, 0.66, 1.33, 2.66), (0.1, 0.2)
 """Where the search begins, at the best of all: lengths of both bristles over those of the model,
 and the short one's share of the friction. The least lengths are also halved, as often as the short
@@ -93,9 +84,6 @@ SPEED_RATE = 2.0
 """Random walk of the speeds about rest, rad/s per square root of a second. A filter with less can
 lose a count and not find back: the error then leaps where a parameter hardly changes, and the
 search stops at the next leap."""
-
-RESTING_PARTS = 0.4, 1.6
-"""Range in which the part of the short bristle's length that acts about rest is searched."""
 
 LEAST_INFORMED = 0.01
 """Least part 1 - rho of the angle's variance that is divided by: with less, a count shows
@@ -167,28 +155,6 @@ def learn_turns(
     turns are left out there.
     """
     return PredictionProblem(learned, strokes, held(uncertainty), BY_TURNS).solution([])
-
-
-def learn_resting_part(
-    learned: LearnedModel, exploration: Exploration, uncertainty: Uncertainty
-) -> LearnedModel:
-    """Return the model with the part of the short bristle's length with which the filter that reads
-    forces has the least errors about rest, in the same exploration."""
-    grid, unmoved = exploration.grid, held(uncertainty)
-    signals = exploration.under(drive_of(learned))
-    rate = 1 / grid.step_time
-    usual = ROW_ERROR * friction_of(plant_of(learned, grid.sample_time))
-
-    def with_part(part: float) -> LearnedModel:
-        return replace(learned, shape=replace(learned.shape, resting_part=part))
-
-    def cost(part: float) -> float:
-        plant = plant_of(with_part(part), grid.sample_time)
-        found = Filter(plant, unmoved, grid.step_samples, CORNER_HZ).add(signals)
-        passed = delayed(rate, found.torque, CORNER_HZ)[round(FILTER_SETTLING_TIME * rate) :]
-        return float(np.sum(np.hypot(1, passed / (usual * HUBER_THRESHOLD))))
-
-    return with_part(least_at(cost, *RESTING_PARTS))
 
 
 class PredictionProblem:

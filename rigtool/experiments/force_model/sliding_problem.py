@@ -31,9 +31,7 @@ from rigtool.experiments.force_model.records import Record
 from rigtool.numerics.arrays import Array
 
 SLIDING_PARAMETERS = tuple(
-    f.name
-    for f in fields(Shape)
-    if f.name not in ("bearing_length", "housing_length", "resting_part")
+    f.name for f in fields(Shape) if f.name not in ("bearing_length", "housing_length")
 )
 """Parameters of a shape that sliding determines."""
 

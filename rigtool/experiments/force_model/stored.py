@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, asdict, fields
+from dataclasses import asdict, fields
 
 import numpy as np
 
@@ -39,7 +39,6 @@ MODEL_UNITS = {
     "tip_friction": "N m",
     "grasper_inertia": "kg m2",
     "load_onset": "N m",
-    "resting_part": "1",
     "stroke": "N m",
     "load": "1",
     "noise": "N m",
@@ -48,7 +47,7 @@ MODEL_UNITS = {
 }
 """Units of shape, deviations and the amplifier's offset."""
 
-BEST_READ = ("bearing_length", "housing_length", "tip_length", "stribeck_speed", "resting_part")
+BEST_READ = ("bearing_length", "housing_length", "tip_length", "stribeck_speed")
 """What rest and reversals determine: the filter reads best with these, in steps of time and counts
 that the contacts do not have. They are off by more than its search shows."""
 
@@ -213,10 +212,7 @@ def _value(run: Run, name: str) -> float:
 
 
 def _shape_of(run: Run) -> Shape:
-    """Return the shape; older tables may lack parameters that have a default."""
-    default = {f.name for f in fields(Shape) if f.default is not MISSING}
-    absent = {name for name in default if MODEL_PREFIX + name not in run.results}
-    found = {f.name: _value(run, f.name) for f in fields(Shape) if f.name not in absent}
+    found = {f.name: _value(run, f.name) for f in fields(Shape)}
     _require_positive(found)
     return Shape(**found)
 

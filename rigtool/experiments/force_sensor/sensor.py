@@ -77,7 +77,7 @@ class SensorProperties:
         """
         plant = self.model.plant(self.grid.sample_time)
         bearings, housing = plant.static, plant.housing_friction
-        slope = bearings / (plant.resting_part * plant.presliding_angle)
+        slope = bearings / plant.presliding_angle
         if housing > 0:
             slope += housing / plant.housing_presliding_angle
         widths, rests = np.zeros((4, KIND_COUNT)), plant.coulomb + housing

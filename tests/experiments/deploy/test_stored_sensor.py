@@ -57,7 +57,7 @@ COEFFICIENTS = {
 LIMITS = np.array([[1e-3, 4.0], [np.inf, np.inf], [8e-3, 6.0]])
 """A motion of which too little was recorded has no threshold."""
 
-SHAPE = Shape(2e-3, 8e-3, 5e-3, 0.3, 0.05, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3, 0.8)
+SHAPE = Shape(2e-3, 8e-3, 5e-3, 0.3, 0.05, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3)
 
 
 def force_model(rig):
@@ -124,11 +124,6 @@ def test_the_sensor_of_a_run_reads_what_python_reads(tables, kt, tmp_path):
     found = compiled(tmp_path, text).add(samples)
     assert np.isfinite(wanted).mean() > 0.5
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * own.reach.torque)
-
-
-def test_tables_without_a_length_at_rest_have_the_whole_bristle_there(tmp_path):
-    with open_run(learned_run(tmp_path / "d.h5", without="model_resting_part")) as run:
-        assert model_from(run, run.recipe).learned.shape == replace(SHAPE, resting_part=1.0)
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, 1e300, -1e300])

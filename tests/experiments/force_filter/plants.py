@@ -32,7 +32,6 @@ PLANT = Plant(
     load_friction=0.102,
     load_friction_onset=1.8e-3,
     friction_map=1 + 0.1 * np.cos(TURN),
-    resting_part=0.8,
 )
 
 UNCERTAINTY = Uncertainty(

@@ -390,6 +390,6 @@ class Motion:
 def test_contacts_are_distinguished_from_errors_at_every_learned_speed():
     strokes = [Motion(f"{v} {f}", speed=v, force=f) for v in (2.0, 4.0) for f in (0.0, 1.0)]
     moves = [Motion(str(v), speed=v) for v in (1.0, 2.0, 4.0, 8.0)]
-    slow, faster = untouched_motions(strokes, moves)
+    slow, faster = untouched_motions(strokes, moves, [])
     assert [motion.name for motion in slow] == ["2.0 0.0"]
     assert [motion.name for motion in faster] == ["4.0", "8.0"]

@@ -40,9 +40,10 @@ STROKES = [Recorded(speed, force) for speed in (1.0, 2.0, 5.0, 9.0) for force in
 MOVES = [Recorded(speed, 0.0) for speed in (1.0, 2.0, 9.0)]
 
 
-def test_slow_strokes_without_load_and_faster_moves_are_untouched():
-    slow, faster = untouched_motions(STROKES, MOVES)
-    assert slow == [Recorded(1.0, 0.0)]
+def test_checks_and_slow_strokes_without_load_and_faster_moves_are_untouched():
+    checks = [Recorded(math.nan, force) for force in (0.0, 1.0, 3.0)]  # of speeds that vary
+    slow, faster = untouched_motions(STROKES, MOVES, checks)
+    assert slow == [checks[0], Recorded(1.0, 0.0)]
     assert faster == [Recorded(2.0, 0.0), Recorded(9.0, 0.0)]
 
 

@@ -27,7 +27,6 @@ from rigtool.experiments.force_model.rest import (
     PredictionProblem,
     held,
     learn_rest,
-    learn_resting_part,
     learn_turns,
 )
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
@@ -221,14 +220,3 @@ def test_they_show_that_torque_is_late():
     assert late / 3 < found.coefficient[delay] < 4 / 3 * late
     assert found.covariance[place, place] < covariance[place, place] / 2
     assert error(found, early) < error(unsure, early) / 2
-
-
-def test_the_part_of_a_bristle_that_acts_at_rest_is_found():
-    whole = model()
-    shorter = replace(whole, shape=replace(whole.shape, resting_part=0.5))
-    parts = [
-        learn_resting_part(whole, explored(truth), UNCERTAINTY).shape.resting_part
-        for truth in (whole, shorter)
-    ]
-    assert parts[1] == pytest.approx(0.5, rel=0.25)
-    assert parts[0] > 1.4 * parts[1]

@@ -15,13 +15,13 @@ from rigtool.experiments.force_sensor.sensor import SensorProperties
 from tests.experiments.force_filter.plants import dahl
 
 BEARING, STRIBECK, FACTOR = 4e-3, 2e-3, 1.2
-LENGTH, HOUSING_LENGTH, RESTING = 0.04, 0.5, 0.5
+LENGTH, HOUSING_LENGTH = 0.02, 0.5
 
 
 def open_variances(count, housing):
     """Return the variances, and friction over a `count` about rest by two bristles."""
     values = {Kind.BEARING: BEARING, Kind.STRIBECK: STRIBECK, Kind.HOUSING: housing}
-    shape = Shape(LENGTH, HOUSING_LENGTH, 0.01, 2.0, 5e-3, 1.0, 2e-3, 1e-3, 1e-6, 2e-3, RESTING)
+    shape = Shape(LENGTH, HOUSING_LENGTH, 0.01, 2.0, 5e-3, 1.0, 2e-3, 1e-3, 1e-6, 2e-3)
     terms = tuple(Term(kind, 1.0) for kind in values)
     learned = LearnedModel(
         terms, shape, Known(0.9, FACTOR, 2e-5), np.array([*values.values()]), np.eye(3), np.ones(2)
@@ -31,7 +31,7 @@ def open_variances(count, housing):
     made = SensorProperties(model, reach, 1e-3, 1e-3, count, (0.05, 0.0), 4.0, 30.0)
     bends = [
         level * (dahl(0.0, count / 2, length) - dahl(0.0, -count / 2, length)) / 2
-        for level, length in ((BEARING + STRIBECK, LENGTH * RESTING), (housing, HOUSING_LENGTH))
+        for level, length in ((BEARING + STRIBECK, LENGTH), (housing, HOUSING_LENGTH))
     ]
     return made.open_variances, sum(bends)
 
