@@ -79,20 +79,8 @@ class PlantModel:
         return np.asarray(second * s**2 * link / (second * s**2 + link), dtype=np.complex128)
 
     def response(self, frequency: Array, sample_time: float) -> ComplexArray:
-        """Return the response (n,) of `held` at frequencies above zero, Hz, without its algebra.
-
-        Sampling sums the images P(s + 2 pi i k/Ts) of the held plant. At high frequencies P is the
-        double integrator of J1, whose sum is known; only the difference, which decays fast, is
-        summed.
-        """
-        motor = self.inertia * (1.0 if self.motor_side is None else self.motor_side)
-        s = 2j * np.pi * np.asarray(frequency, dtype=np.float64)
-        images = (
-            s + 2j * np.pi / sample_time * np.arange(-SPECTRUM_IMAGES, SPECTRUM_IMAGES + 1)[:, None]
-        )
-        rest = (self.transfer(images) - 1 / (motor * images**2)) / (images * sample_time)
-        whole = double_integrator(motor, sample_time).response(frequency)
-        return np.asarray(whole - np.expm1(-s * sample_time) * rest.sum(axis=0))
+        """Return the response (n,) of `held` at frequencies above zero, Hz, without its algebra."""
+        return HeldResponses(frequency, sample_time).of(self)
 
     def _state_space(self) -> tuple[Array, Array, Array]:
         if self.motor_side is None:
@@ -111,6 +99,29 @@ class PlantModel:
             ]
         )
         return a, np.array([0.0, 1 / first, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
+
+
+class HeldResponses:
+    """Responses of held plants at the same frequencies (n,), above zero, Hz; `sample_time` in s.
+
+    Sampling sums the images P(s + 2 pi i k/Ts) of the held plant. At high frequencies P is the
+    double integrator of J1, whose sum is known; only the difference, which decays fast, is summed.
+    What no plant changes is computed once.
+    """
+
+    def __init__(self, frequency: Array, sample_time: float) -> None:
+        s = 2j * np.pi * np.asarray(frequency, dtype=np.float64)
+        numbers = np.arange(-SPECTRUM_IMAGES, SPECTRUM_IMAGES + 1)[:, None]
+        self._images = s + 2j * np.pi / sample_time * numbers
+        self._held = -np.expm1(-s * sample_time) / (self._images * sample_time)
+        whole = double_integrator(1.0, sample_time).response(frequency)
+        self._beyond = whole - np.sum(self._held / self._images**2, axis=0)
+
+    def of(self, plant: PlantModel) -> ComplexArray:
+        """Return the response (n,) of a plant, as `PlantModel.held` has it."""
+        motor = plant.inertia * (1.0 if plant.motor_side is None else plant.motor_side)
+        near = np.einsum("kn,kn->n", self._held, plant.transfer(self._images))
+        return np.asarray(near + self._beyond / motor, dtype=np.complex128)
 
 
 def zero_order_hold(a: Array, b: Array, c: Array, sample_time: float) -> TransferFunction:

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from scipy import optimize, special
 
-from rigtool.control.plant_models import PlantModel
+from rigtool.control.plant_models import HeldResponses, PlantModel
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.plant.frequency_response import FrequencyResponse
 from rigtool.numerics.arrays import TINY, Array, ComplexArray, Mask
@@ -62,6 +62,15 @@ SERIES = 0.08
 BY_STEPS = 0.5
 """Part of the scatter of a line that the encoder's steps make, above which they hide it."""
 
+LAST_STEPS, DIFFERENCE = 2, 1e-4
+"""Steps of Gauss and Newton after the search for the rigid plant, and half of the differences, in
+scaled parameters, of their derivatives: the search ends by rounding, each version of it elsewhere
+by 1e-5 u."""
+
+LONGEST_STEP = 0.01
+"""Length of such a step, in scaled parameters, beyond which the lines do not determine them, and
+the search has the last word."""
+
 MAX_EVALUATIONS = 500
 """Largest number of evaluations in one fit; without a second mass it does not converge."""
 
@@ -91,11 +100,13 @@ class PlantFit:
 
     def response(self, frequency: Array) -> ComplexArray:
         """Return P (n,) at these frequencies, Hz, with delay and roll-off."""
+        return self.model.response(frequency, self.sample_time) * np.exp(self.lag(frequency))
+
+    def lag(self, frequency: Array) -> ComplexArray:
+        """Return the logarithm (n,) of delay, roll-off and bend at these frequencies, Hz."""
         omega = 2 * np.pi * np.asarray(frequency, dtype=np.float64)
-        lag = np.exp(
-            1j * (self.phase_bend * omega**3 - omega * self.delay) - self.roll_off * omega**2
-        )
-        return self.model.response(frequency, self.sample_time) * lag
+        turned = omega * (self.phase_bend * omega**2 - self.delay)
+        return np.asarray(1j * turned - self.roll_off * omega**2, dtype=np.complex128)
 
     def scatter(self, statistic: Callable[[PlantFit], float]) -> float:
         """Return the standard uncertainty of a statistic of the fit by scatter."""
@@ -169,11 +180,12 @@ def _of_lines(
     tendon: bool,
 ) -> PlantFit:
     """Return the simplest model that these lines support."""
-    data = _Data(found.lines(used))
+    data = _Data(found.lines(used), sample_time)
     nominal = PlantModel(nominal_inertia, 0.0)
     start = PlantFit(nominal, 0.0, 0.0, 0.0, sample_time, used, 1.0, 1.0)
     rigid = data.fitted(start)
     two = _second_mass(data, rigid, tendon)
+    rigid = data.settled(rigid)
     if two is None:
         return data.with_scatter(rigid)
     doubt = two.rigid_rejected
@@ -210,8 +222,9 @@ def _second_mass(data: _Data, rigid: PlantFit, known: bool) -> PlantFit | None:
 class _Data:
     """A measured response with the weights of its lines."""
 
-    def __init__(self, found: FrequencyResponse) -> None:
+    def __init__(self, found: FrequencyResponse, sample_time: float) -> None:
         self.found = found
+        self._held = HeldResponses(found.frequency, sample_time)
         relative = np.square(found.u / np.abs(found.response))
         window = np.ones(min(POOLED_LINES, len(relative)))
         count = np.convolve(np.ones(len(relative)), window, "same")
@@ -230,7 +243,7 @@ class _Data:
 
     def residuals(self, fit: PlantFit, response: ComplexArray) -> Array:
         """Return weighted residuals (2 k,): logarithm of magnitude, then phase."""
-        ratio = np.log(response / fit.response(self.found.frequency))
+        ratio = np.log(response / self._held.of(fit.model) / np.exp(fit.lag(self.found.frequency)))
         return np.concatenate([ratio.real * self._weight, ratio.imag * self._weight])
 
     def fitted(self, start: PlantFit) -> PlantFit:
@@ -248,6 +261,27 @@ class _Data:
         found = _with(start, origin + scale * solution.x)
         misfit = math.sqrt(2 * solution.cost / self.freedom(found))
         return _with(found, _parameters(found), misfit=misfit)
+
+    def settled(self, fit: PlantFit) -> PlantFit:
+        """Return a fit at the least sum of squares near the one that a search found."""
+        for _ in range(LAST_STEPS):
+            scale, origin = _scale(fit), _parameters(fit)
+            sides = (
+                [
+                    self.residuals(_with(fit, origin + move), self.found.response)
+                    for move in np.diag(side * DIFFERENCE * scale)
+                ]
+                for side in (1, -1)
+            )
+            ahead, behind = map(np.array, sides)
+            jacobian = (ahead - behind).T / (2 * DIFFERENCE)
+            here = self.residuals(fit, self.found.response)
+            step = np.linalg.pinv(jacobian) @ here
+            if np.abs(step).max() > LONGEST_STEP:
+                break
+            fit = _with(fit, origin - scale * step)
+        here = self.residuals(fit, self.found.response)
+        return replace(fit, misfit=math.sqrt(here @ here / self.freedom(fit)))
 
     def with_scatter(self, fit: PlantFit) -> PlantFit:
         """Return the fit with `without` and `moved`, from which its uncertainty follows."""
@@ -300,8 +334,9 @@ def _with(fit: PlantFit, vector: Array, **changes: Any) -> PlantFit:
     inertia, viscous = math.exp(vector[0]), float(vector[1])
     if len(vector) > 5:
         # A second mass that the data do not show runs away: bound it.
-        part = 1 / (1 + math.exp(-np.clip(vector[5], -5, 5)))
-        antiresonance = math.exp(np.clip(vector[6], -2, math.log(0.2 / fit.sample_time)))
+        part = 1 / (1 + math.exp(-min(max(float(vector[5]), -5.0), 5.0)))
+        highest = math.log(0.2 / fit.sample_time)
+        antiresonance = math.exp(min(max(float(vector[6]), -2.0), highest))
         model = PlantModel(inertia, viscous, part, antiresonance, float(vector[7]))
     else:
         model = PlantModel(inertia, viscous)

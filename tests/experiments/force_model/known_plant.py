@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from scipy.signal import lfilter
 
 from rigtool.experiments.force_model.records import LoadCase, repeated
 
@@ -34,7 +35,7 @@ def strokes(moment, speed, cycles=6, deviation=0.0, noise=(0.0, 0.1), seed=1, pa
     way = np.tanh(velocity / 0.02)
     output = angle / RATIO
     carried = moment * np.sin(output)
-    for _ in range(60):
+    for _ in range(60 if moment else 0):
         carried = (carried + moment * np.sin(output - carried / STIFFNESS)) / 2
     friction = way * (COULOMB + LOAD_FRICTION / FACTOR * (np.hypot(carried, ONSET) - ONSET))
     rng = np.random.default_rng(seed)
@@ -44,9 +45,9 @@ def strokes(moment, speed, cycles=6, deviation=0.0, noise=(0.0, 0.1), seed=1, pa
     friction += way * (drawn[0] * np.sin(output) + drawn[1] * np.cos(output))
     size, memory = noise
     kept = math.exp(-STEP / memory)
-    process = np.zeros(time.size)
-    for i, fresh in enumerate(size * math.sqrt(1 - kept**2) * rng.standard_normal(time.size)):
-        process[i] = kept * process[i - 1] + fresh
+    process = lfilter(
+        [1.0], [1.0, -kept], size * math.sqrt(1 - kept**2) * rng.standard_normal(time.size)
+    )
     torque = (
         carried / FACTOR
         + friction

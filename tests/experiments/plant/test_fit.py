@@ -10,7 +10,7 @@ from scipy import stats
 from rigtool.control.plant_models import PlantModel
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.plant.curvature import SlopeRise
-from rigtool.experiments.plant.fit import fit_plant
+from rigtool.experiments.plant.fit import PlantFit, _Data, fit_plant
 from rigtool.experiments.plant.frequency_response import FrequencyResponse
 from rigtool.experiments.plant.results import IdentifiedPlant
 from rigtool.quantity import Quantity
@@ -64,6 +64,30 @@ def test_the_unit_of_torque_changes_nothing(model):
         assert statistic(other) / size == pytest.approx(statistic(one), rel=1e-4)
         assert other.scatter(statistic) / size == pytest.approx(one.scatter(statistic), rel=1e-3)
         assert other.doubt(statistic) / size == pytest.approx(one.doubt(statistic), rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_fit_ends_at_the_same_wherever_its_search_begins(seed):
+    found = measured(RIGID, seed)
+    one, other = (fit_plant(found, SAMPLE_TIME, size * NOMINAL) for size in (1, 2))
+    for statistic in (
+        lambda fit: fit.model.inertia,
+        lambda fit: fit.model.viscous,
+        lambda fit: fit.delay,
+        lambda fit: fit.roll_off,
+        lambda fit: fit.misfit,
+    ):
+        assert statistic(other) == pytest.approx(statistic(one), rel=3e-9)
+
+
+def test_a_fit_that_friction_leaves_open_stays_where_its_search_ends():
+    every = np.full(len(FREQUENCY), True)
+    start = PlantFit(PlantModel(NOMINAL), 0.0, 0.0, 0.0, SAMPLE_TIME, every, 1.0, 1.0)
+    for seed in range(8):
+        found = measured(PlantModel(2e-6, 4e-3), seed, noise=0.2, lag=1e-4)
+        data = _Data(found, SAMPLE_TIME)
+        searched = data.fitted(start)
+        assert data.settled(searched).misfit <= searched.misfit * (1 + 1e-9)
 
 
 def test_an_amplifiers_lag_is_distinguished_from_the_plant():

@@ -129,6 +129,7 @@ def test_runs_at_different_temperatures_are_pooled(tmp_path):
     assert_allclose(slope.value, -1.16e-3, atol=1e-4, rtol=0)
 
 
+@pytest.mark.compiles
 def test_one_rotor_angle_says_what_it_cannot_know(tmp_path):
     same = "calibrate_kt.temperatures_degc=[20, 20]"
     outcome = run(

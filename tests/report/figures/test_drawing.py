@@ -45,10 +45,18 @@ def _strokes(svg):
     return found
 
 
-def test_the_vectors_are_those_of_matplotlib():
+def test_the_vectors_are_those_of_matplotlib(monkeypatch):
+    """Around text that is measured in pixels: its height depends on them by hinting."""
     with style.styled():
         figure = _figure()
         svg, _ = drawing.render(figure)
+        pixels = drawing.RendererAgg(*figure.bbox.size, drawing.DPI)
+
+        def measure(renderer, s, prop, ismath):
+            found = pixels.get_text_width_height_descent(s, prop, ismath)
+            return [size / drawing.SCALE for size in found]
+
+        monkeypatch.setattr(drawing.RendererSVG, "get_text_width_height_descent", measure)
         own = io.StringIO()
         figure.savefig(own, format="svg")
     drawn, expected = _strokes(svg), _strokes(own.getvalue())
