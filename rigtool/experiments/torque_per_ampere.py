@@ -10,7 +10,8 @@ change of k over that range, since the motor may have any temperature within it:
 distribution (GUM 4.3.7). Where recordings show a temperature at which k is further from the mean,
 the distribution reaches to there, and a note states it. A table of `ilc-learn` is fed forward as
 current by the same constant, so that the constant cancels: uncertainties of learned tables are
-those of their scatter.
+those of their scatter. A run of `ilc-learn` states the constant, and whatever feeds its table
+forward takes that one, also under a later calibration.
 
 `identify-plant`, `fft-ripple` and `measure-force` with a correction have smaller uncertainties than
 the change of k. They take k at the recorded temperature of the motor: `torque_per_ampere_at`, with
@@ -41,6 +42,10 @@ from rigtool.quantity import (
 )
 from rigtool.runfile import Recording, Run
 from rigtool.runfile.schema import CHUNK, LARGEST_NUMBER
+
+CONSTANT = "feedforward_constant"
+"""Result that states the torque per ampere of set point that the current of a table was made
+with."""
 
 END_SAMPLES = 1024
 """Samples at either end of a recording that show its temperatures, which change slowly."""
@@ -135,6 +140,18 @@ def _gain(kt: Run) -> Quantity:
     if "amplifier_gain" not in kt.results:  # imported: a drive's current follows its set point
         return Quantity(1.0, "1", 0.0)
     return without(_constant(kt, "amplifier_gain", "1"), CURRENT_READING)
+
+
+def constant_result(per_ampere: float) -> dict[str, Quantity]:
+    """Return the torque per ampere, N m/A, that currents were made with, under its name."""
+    reason = "a scale by definition: torque over it is the current that was learned"
+    return {CONSTANT: Quantity(per_ampere, "N m/A", reason=reason)}
+
+
+def learned_constant(run: Run) -> float | None:
+    """Return the torque per ampere, N m/A, that the current of a table was made with; None where
+    the run does not state it."""
+    return run.result(CONSTANT, "N m/A").value if CONSTANT in run.results else None
 
 
 def with_constant(quantity: Quantity, constant: Quantity) -> Quantity:
