@@ -219,13 +219,15 @@ def mean_constant(kt: Run, recordings: Sequence[Recording] = ()) -> tuple[Quanti
     degc, away = _furthest(kt, recordings)
     constant = _torque_per_ampere(kt, away)
     if abs(away) > _known_error(kt):
+        slope = kt.result("torque_constant_temperature_coefficient", "1/K").value
+        remedy = "cool" if away * slope > 0 else "warm up"
         return constant, (
             f"torque by the mean torque constant, {constant.value * 1e3:.4g} mN m/A, but the motor "
             f"had {degc:.3g} degC, where the constant is {100 * abs(away):.2f} % "
             f"{'below' if away < 0 else 'above'} it: torques are read too "
             f"{'high' if away < 0 else 'low'} by that; the standard uncertainty, "
             f"{100 * (constant.u or 0.0) / constant.value:.2f} %, includes it; widen "
-            "calibrate_kt.reference_range_degc, or let the motor cool"
+            f"calibrate_kt.reference_range_degc, or let the motor {remedy}"
         )
     return constant, (
         f"torque by the mean torque constant, {constant.value * 1e3:.4g} mN m/A; its standard "
