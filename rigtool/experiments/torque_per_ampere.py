@@ -10,7 +10,8 @@ change of k over that range, since the motor may have any temperature within it:
 distribution (GUM 4.3.7). Where recordings show a temperature at which k is further from the mean,
 the distribution reaches to there, and a note states it. A table of `ilc-learn` is fed forward as
 current by the same constant, so that the constant cancels: uncertainties of learned tables are
-those of their scatter.
+those of their scatter. A run of `ilc-learn` states the constant, and whatever feeds its table
+forward takes that one, also under a later calibration.
 
 `identify-plant`, `fft-ripple` and `measure-force` with a correction have smaller uncertainties than
 the change of k. They take k at the recorded temperature of the motor: `torque_per_ampere_at`, with
@@ -41,6 +42,10 @@ from rigtool.quantity import (
 )
 from rigtool.runfile import Recording, Run
 from rigtool.runfile.schema import CHUNK, LARGEST_NUMBER
+
+CONSTANT = "feedforward_constant"
+"""Result that states the torque per ampere of set point that the current of a table was made
+with."""
 
 END_SAMPLES = 1024
 """Samples at either end of a recording that show its temperatures, which change slowly."""
@@ -137,6 +142,18 @@ def _gain(kt: Run) -> Quantity:
     return without(_constant(kt, "amplifier_gain", "1"), CURRENT_READING)
 
 
+def constant_result(per_ampere: float) -> dict[str, Quantity]:
+    """Return the torque per ampere, N m/A, that currents were made with, under its name."""
+    reason = "a scale by definition: torque over it is the current that was learned"
+    return {CONSTANT: Quantity(per_ampere, "N m/A", reason=reason)}
+
+
+def learned_constant(run: Run) -> float | None:
+    """Return the torque per ampere, N m/A, that the current of a table was made with; None where
+    the run does not state it."""
+    return run.result(CONSTANT, "N m/A").value if CONSTANT in run.results else None
+
+
 def with_constant(quantity: Quantity, constant: Quantity) -> Quantity:
     """Return a quantity that is proportional to a torque constant, with the constant's part of u.
 
@@ -202,13 +219,15 @@ def mean_constant(kt: Run, recordings: Sequence[Recording] = ()) -> tuple[Quanti
     degc, away = _furthest(kt, recordings)
     constant = _torque_per_ampere(kt, away)
     if abs(away) > _known_error(kt):
+        slope = kt.result("torque_constant_temperature_coefficient", "1/K").value
+        remedy = "cool" if away * slope > 0 else "warm up"
         return constant, (
             f"torque by the mean torque constant, {constant.value * 1e3:.4g} mN m/A, but the motor "
             f"had {degc:.3g} degC, where the constant is {100 * abs(away):.2f} % "
             f"{'below' if away < 0 else 'above'} it: torques are read too "
             f"{'high' if away < 0 else 'low'} by that; the standard uncertainty, "
             f"{100 * (constant.u or 0.0) / constant.value:.2f} %, includes it; widen "
-            "calibrate_kt.reference_range_degc, or let the motor cool"
+            f"calibrate_kt.reference_range_degc, or let the motor {remedy}"
         )
     return constant, (
         f"torque by the mean torque constant, {constant.value * 1e3:.4g} mN m/A; its standard "

@@ -100,6 +100,7 @@ def test_a_motor_outside_the_range_of_the_mean_is_in_u_and_in_a_note(tmp_path, d
         assert found.u == pytest.approx(found.value * away / np.sqrt(3), rel=0.01)
         assert f"had {degc:.3g} degC" in note
         assert f"too {'high' if degc > 27 else 'low'}" in note
+        assert f"let the motor {'cool' if degc > 27 else 'warm up'}" in note
 
 
 def test_what_is_proportional_to_the_constant_shares_its_uncertainty():

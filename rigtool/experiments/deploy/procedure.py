@@ -16,7 +16,11 @@ import numpy as np
 from rigtool.errors import HardwareError, InsufficientDataError, UsageError
 from rigtool.experiments.deploy.position_map import PositionMap, position_map
 from rigtool.experiments.deploy.quantised_table import Sampled, interpolated_codes
-from rigtool.experiments.deploy.stored_export import in_unit
+from rigtool.experiments.deploy.stored_export import (
+    calibration_remarks,
+    in_unit,
+    require_own_calibration,
+)
 from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
@@ -128,6 +132,7 @@ def _map(
                 f"{run.path}: was measured on the rig {run.rig}, the recipe is of "
                 f"{recipe.rig.name}: a table fits the motor it was learned on only"
             )
+    require_own_calibration(tables, kt)
     turn = in_unit(position_map(learned.table, learned.u, speed), learned, "moteus", kt)
     peak, limit = float(np.abs(turn.values).max()), recipe.line.limits.current
     if peak > limit:
@@ -135,7 +140,7 @@ def _map(
             f"{tables.path}: takes up to {peak:.4g} A, beyond serial.limits.current = "
             f"{limit:g} A: a table of cogging is far smaller; check how it was learned"
         )
-    return turn, turn.remarks("A") + learned.friction_lines()
+    return turn, turn.remarks("A") + calibration_remarks(learned, kt) + learned.friction_lines()
 
 
 def _ripple_remark(tables: Run, speed: float) -> str:

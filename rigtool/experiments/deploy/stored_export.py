@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,8 @@ from rigtool.experiments.deploy.c_header import header
 from rigtool.experiments.deploy.position_map import PositionMap, position_map
 from rigtool.experiments.deploy.stored_sensor import sensor
 from rigtool.experiments.learning.learned_table import LearnedTable
-from rigtool.experiments.learning.stored_table import learned_table_from
-from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.experiments.learning.stored_table import learned_table_from, of_another_calibration
+from rigtool.experiments.torque_per_ampere import learned_constant, torque_per_ampere
 from rigtool.runfile import Run
 from rigtool.runfile.export import write_new
 
@@ -34,6 +35,9 @@ it means by itself."""
 
 DRIVE_UNITS = {"moteus": "A", "odrive": "N m"}
 """Units in which drives take a map; other formats have the table's own."""
+
+SAME_CONSTANT = 1e-6
+"""Relative difference within which two torque constants are the same."""
 
 MAP_FORMATS = ("moteus", "odrive", "fourier")
 """Formats that hold the turn at one speed."""
@@ -78,9 +82,11 @@ def export_table(
     remarks: list[str] = []
     contents: str | dict[str, Any]
     if wanted in MAP_FORMATS:
+        require_own_calibration(run, kt)
         turn = in_unit(position_map(learned.table, learned.u, speed), learned, wanted, kt)
         contents, lost = _map_text(learned, turn, wanted, output)
         remarks += turn.remarks(DRIVE_UNITS.get(wanted, learned.unit))
+        remarks += calibration_remarks(learned, kt)
     else:
         for option, value in (("--speed", speed), ("--kt", kt)):
             if value is not None:
@@ -97,7 +103,8 @@ def export_table(
 def in_unit(turn: PositionMap, learned: LearnedTable, wanted: str, kt: Run | None) -> PositionMap:
     """Return the map in the unit that the drive takes: moteus A, ODrive N m.
 
-    Raises `UsageError` where the calibration for that is missing, or does not apply.
+    A table that states the constant of its currents gives those, whatever `kt` states. Raises
+    `UsageError` where the calibration is missing, or does not apply.
     """
     needed = DRIVE_UNITS.get(wanted, learned.unit)
     if needed == learned.unit:
@@ -106,6 +113,8 @@ def in_unit(turn: PositionMap, learned: LearnedTable, wanted: str, kt: Run | Non
         return turn
     if {needed, learned.unit} != {"A", "N m"}:
         raise UsageError(f"the table holds {learned.unit}, {wanted} takes {needed}: learn torque")
+    if learned.constant is not None:
+        return turn.scaled(1 / learned.constant)
     if kt is None:
         raise UsageError(
             f"--kt is missing: {wanted} takes {needed}, the table holds {learned.unit}; give a run "
@@ -113,6 +122,31 @@ def in_unit(turn: PositionMap, learned: LearnedTable, wanted: str, kt: Run | Non
         )
     constant = torque_per_ampere(kt).value
     return turn.scaled(1 / constant if needed == "A" else constant)
+
+
+def require_own_calibration(run: Run, kt: Run | None) -> None:
+    """Raise `UsageError` where only `kt` makes current of a table, and it is not the table's own:
+    the current would not be the one that was learned."""
+    if kt is None or learned_constant(run) is not None or not of_another_calibration(run, kt):
+        return
+    raise UsageError(
+        f"{run.path}: was learned with another calibration than {kt.path.name}, with which its "
+        "current would not be the one that was learned: give that calibration, or analyse it again "
+        f"with this one: rigtool ilc-learn {run.path.name} --kt {kt.path.name} -o FILE"
+    )
+
+
+def calibration_remarks(learned: LearnedTable, kt: Run | None) -> list[str]:
+    """Return a remark where a calibration states another constant than that of the currents."""
+    if kt is None or learned.constant is None:
+        return []
+    stated = torque_per_ampere(kt).value
+    if math.isclose(stated, learned.constant, rel_tol=SAME_CONSTANT):
+        return []
+    return [
+        f"currents are those that were learned, by {learned.constant * 1e3:.5g} mN m/A; "
+        f"{kt.path.name} states {stated * 1e3:.5g} mN m/A, which does not change them"
+    ]
 
 
 def _map_text(

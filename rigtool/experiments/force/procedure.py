@@ -37,10 +37,15 @@ from rigtool.experiments.force_sensor.procedure_over_time import (
     analyse_over_time,
     require_calibration,
 )
-from rigtool.experiments.learning.stored_table import feedforward_from, require_same_rig
+from rigtool.experiments.learning.stored_table import (
+    feedforward_from,
+    of_another_calibration,
+    require_same_rig,
+)
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_per_ampere import (
+    learned_constant,
     mean_constant,
     mean_temperature,
     torque_per_ampere_at,
@@ -304,16 +309,17 @@ def _ripple_part(kt: Run) -> Callable[[float], float]:
 
 def _input_notes(kt: Run, tables: Run) -> tuple[str, ...]:
     """Report tables that were learned with another torque constant than the one used here."""
-    calibrations = [
-        used["content_sha256"]
-        for used in tables.provenance["inputs"]
-        if used["command"] == kt.command
-    ]
-    if not calibrations or kt.content_sha256 in calibrations:
+    if not of_another_calibration(tables, kt):
         return ()
+    currents = (
+        "turned into current with this one, so that currents are not those that were learned: "
+        "learn again"
+        if learned_constant(tables) is None
+        else "turned into the currents that were learned; torques are stated with this one"
+    )
     return (
-        f"the tables were learned with another calibration than {kt.path.name}: currents are "
-        "compensated as learned, but torques are stated with this one",
+        f"the tables were learned with another calibration than {kt.path.name}: they are "
+        f"{currents}",
     )
 
 

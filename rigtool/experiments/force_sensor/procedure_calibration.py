@@ -62,24 +62,35 @@ def changes(tables: Run, kt: Run, model: ForceModel) -> tuple[float, float, list
 
     A zero that has moved by c since may have moved by as much again: c is its standard uncertainty.
     """
-    by, share, notes = 0.0, 0.0, []
-    now = torque_per_ampere_at(kt, REFERENCE_DEGC)
-    if moved := _difference(tables, CONSTANT, now) / now.value:
-        share = abs(moved)
-        notes.append(
-            f"{kt.path} states a torque constant that differs by {100 * moved:+.2f} % from that "
-            f"which {tables.path} was learned with: u is wider by this share of the torque, as "
-            "either may be wrong; learn again with this calibration"
-        )
-    stated = kt.results.get("amplifier_offset")
-    if stated is not None and (moved := _difference(tables, OFFSET, stated)):
-        by = abs(moved) * torque_per_current(model, kt)
+    share, notes = changed_constant(tables, kt)
+    by, moved = changed_zero(tables, kt, model)
+    if by:
         notes.append(
             f"{kt.path} states a zero of the current that has moved by {moved * 1e3:.3g} mA "
             f"since {tables.path} was learned: it is taken from there, and u is wider by "
             f"{by * 1e3:.3g} mN m, as it may have moved by as much again"
         )
     return by, share, notes
+
+
+def changed_constant(tables: Run, kt: Run) -> tuple[float, list[str]]:
+    """Return the share of the torque by which another torque constant widens u, and notes."""
+    now = torque_per_ampere_at(kt, REFERENCE_DEGC)
+    moved = _difference(tables, CONSTANT, now) / now.value
+    if not moved:
+        return 0.0, []
+    return abs(moved), [
+        f"{kt.path} states a torque constant that differs by {100 * moved:+.2f} % from that "
+        f"which {tables.path} was learned with: u is wider by this share of the torque, as "
+        "either may be wrong; learn again with this calibration"
+    ]
+
+
+def changed_zero(tables: Run, kt: Run, model: ForceModel) -> tuple[float, float]:
+    """Return by how much, N m on the output and A, the zero of the current has moved since."""
+    stated = kt.results.get("amplifier_offset")
+    moved = 0.0 if stated is None else _difference(tables, OFFSET, stated)
+    return abs(moved) * torque_per_current(model, kt), moved
 
 
 def _difference(tables: Run, name: str, now: Quantity) -> float:

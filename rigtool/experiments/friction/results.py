@@ -31,6 +31,9 @@ Uncertain = tuple[float, float]
 SCATTER_LINE = "scatter"
 """Line of a budget: scatter of the data, or of a fit to them."""
 
+SAME_SPEED = 0.01
+"""Relative difference of speeds up to which they are one."""
+
 MODEL_POINTS = 120
 """Points of the curve of the friction model in each direction."""
 
@@ -232,7 +235,7 @@ def add_radial_friction(
     """
     loaded = loaded[loaded.steady]
     nearest = np.argmin(np.abs(unloaded.speed - loaded.speed[:, None]), axis=1)
-    same = np.abs(unloaded.speed[nearest] - loaded.speed) < 0.01 * np.abs(loaded.speed)
+    same = np.abs(unloaded.speed[nearest] - loaded.speed) < SAME_SPEED * np.abs(loaded.speed)
     if not same.any():
         found.notes.append("no speed was held with and without radial force: nothing to compare")
         return
@@ -253,17 +256,21 @@ def add_radial_friction(
     grown = sign * (after.torque - before.torque)
     value = float(share @ grown)
     unlike = grown - np.bincount(index, grown)[index] / count[index]
-    free = len(grown) - len(directions)
     # Friction that wanders more slowly than a hold makes holds differ by more than their scatter.
-    own = float(np.mean(before.u**2 + after.u**2))
-    square = float(unlike @ unlike) / max(free, 1)
+    # To and fro at one speed are held one after the other, with nearly the same of it: both are one
+    # (C.-E. Sarndal et al., Model Assisted Survey Sampling, 1992, 4.2: clusters).
+    alike = np.round(np.log(np.abs(after.speed) / np.abs(after.speed).max()) / SAME_SPEED)
+    sums = np.bincount(np.unique(alike, return_inverse=True)[1], share * unlike)
+    free = len(sums) - 1
+    own = float(share**2 @ (before.u**2 + after.u**2))
+    square = float(sums @ sums) * len(sums) / max(free, 1)
     wander = max(square - own, 0.0)
     # The difference of two variances is as uncertain as the larger one: 2 square^2/free.
     wander_dof = free * (wander / max(square, TINY)) ** 2
     lines = [
         error_line(
             "friction from hold to hold",
-            math.sqrt(wander) * float(np.linalg.norm(share)),
+            math.sqrt(wander),
             "N m",
             wander_dof or None,
         ),

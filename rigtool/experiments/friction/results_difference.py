@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError, naming
-from rigtool.experiments.friction.results import Findings
+from rigtool.experiments.friction.results import SAME_SPEED, Findings
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Run, Table, dof_column
@@ -16,9 +16,6 @@ from rigtool.runfile import Column, Run, Table, dof_column
 HOLD_TABLE = "holds"
 
 RATIO_RESULT = "ratio_of_differences"
-
-SAME_SPEED = 0.01
-"""Relative difference of speeds up to which they are one."""
 
 MIN_EXTRA_SPEEDS = 3
 """Common speeds beyond the number of parameters that show their scatter."""

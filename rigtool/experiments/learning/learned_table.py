@@ -21,7 +21,8 @@ class LearnedTable:
     `u` has the shape of its torque. `quantity` and `unit` are those of its values; `friction` was
     fed forward while it was learned and is not part of it; `band_hz` is the cut-off of Q, None
     where it is not known, at `band_speed` rad/s, None where at each speed; `origin` are lines about
-    rig, program, date and hash.
+    rig, program, date and hash. `constant` N m/A is the torque per ampere that the current was made
+    with, None where it is not known.
     """
 
     table: LookupTable
@@ -32,6 +33,7 @@ class LearnedTable:
     band_hz: float | None
     band_speed: float | None
     origin: tuple[str, ...]
+    constant: float | None = None
 
     def band_order(self, speed: float) -> int | None:
         """Return the highest order that Q passed in the map at a speed, rad/s; None: not known."""

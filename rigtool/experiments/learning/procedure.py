@@ -16,7 +16,7 @@ from rigtool.experiments.between_set_points import unsampled_note
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
 from rigtool.experiments.running.options import CommonOptions
-from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.experiments.torque_per_ampere import constant_result, torque_per_ampere
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig
 from rigtool.runfile import RecordingSpec, Run, RunWriter
@@ -85,8 +85,11 @@ def analyse(
     if prior is not None:
         raise UsageError("--prior: is for imported runs, the bench's own rig is learned anew")
     outcome = _implementation(recipe).analyse(runs, recipe, kt=kt, **inputs)
+    constant = torque_per_ampere(kt).value
     return replace(
-        outcome, notes=(*outcome.notes, *unsampled_note(runs, torque_per_ampere(kt).value))
+        outcome,
+        results={**outcome.results, **constant_result(constant)},
+        notes=(*outcome.notes, *unsampled_note(runs, constant)),
     )
 
 

@@ -11,6 +11,7 @@ from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import RunFileError
 from rigtool.experiments.learning.learned_table import COULOMB, VISCOUS, LearnedTable
 from rigtool.experiments.learning.rows import Amplitudes
+from rigtool.experiments.torque_per_ampere import learned_constant
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
@@ -94,6 +95,13 @@ def friction_results(friction: Run | None) -> dict[str, Quantity]:
     }
 
 
+def of_another_calibration(run: Run, kt: Run) -> bool:
+    """Return whether a run of `ilc-learn` states that it was learned with other calibrations."""
+    inputs = run.provenance["inputs"]
+    own = [used["content_sha256"] for used in inputs if used["command"] == kt.command]
+    return bool(own) and kt.content_sha256 not in own
+
+
 def friction_beside(run: Run) -> dict[str, Quantity]:
     """Return the friction that is stored beside the table of a run of `ilc-learn`."""
     units = {COULOMB: "N m", VISCOUS: "N m s/rad"}
@@ -150,6 +158,7 @@ def learned_table_from(run: Run) -> LearnedTable:
     stored = run.table("lookup")
     signal = stored.columns[stored.signal]
     band_hz, band_speed = _band(run)
+    constant = learned_constant(run) if signal.unit == "N m" else None
     return LearnedTable(
         table=table,
         u=np.asarray(run.table("lookup", u=signal.unit)["u"], dtype=np.float64),
@@ -158,8 +167,15 @@ def learned_table_from(run: Run) -> LearnedTable:
         friction=friction_beside(run),
         band_hz=band_hz,
         band_speed=band_speed,
-        origin=origin_of(run),
+        origin=(*origin_of(run), *_about(constant)),
+        constant=constant,
     )
+
+
+def _about(constant: float | None) -> list[str]:
+    if constant is None:
+        return []
+    return [f"Torque over {constant:.6g} N m/A is the current set point that was learned."]
 
 
 def origin_of(run: Run) -> tuple[str, str]:

@@ -25,7 +25,7 @@ from rigtool.experiments.running.lines import open_lines
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.stored import analyse_stored, require_inputs
 from rigtool.experiments.running.terminal import open_live
-from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.experiments.torque_per_ampere import learned_constant, torque_per_ampere
 from rigtool.inputs import is_recipe
 from rigtool.recipe import Recipe, load_recipe, override_recipe
 from rigtool.rigs import Block, Rig, open_rig
@@ -92,8 +92,7 @@ def _measure(
     on_line = recipe.rig.source == "serial"
     _require_spy(options, output, [source, *(run.path for run in inputs.values())])
     seed = recipe.virtual.seed if recipe.virtual is not None and not on_line else None
-    kt = inputs.get("kt")
-    constant = recipe.rig.torque_constant if kt is None else torque_per_ampere(kt).value
+    constant = _constant(recipe, inputs)
     if options.dry_run:
         return dry_run(procedure, recipe, constant, inputs)
     operator = Operator(yes=options.yes, spy=options.spy)
@@ -132,6 +131,16 @@ def _measure(
         outcome = procedure.analyse([run], recipe, **inputs)
         writer.finish(outcome.results, outcome.tables, outcome.notes)
     return outcome
+
+
+def _constant(recipe: Recipe, inputs: Mapping[str, Run]) -> float:
+    """Return the torque per ampere, N m/A, that makes current of the loop's torque: that of the
+    learned tables, whose currents then are those that were learned, whatever `kt` states."""
+    kt, tables = inputs.get("kt"), inputs.get("tables")
+    learned = None if tables is None else learned_constant(tables)
+    if learned is not None:
+        return learned
+    return recipe.rig.torque_constant if kt is None else torque_per_ampere(kt).value
 
 
 def _recipe_of(procedure: Procedure, source: str, options: CommonOptions) -> tuple[Recipe, str]:

@@ -17,8 +17,15 @@ from rigtool.errors import RunFileError, UsageError
 from rigtool.experiments.deploy import drive_formats as texts
 from rigtool.experiments.deploy.c_header import comment, header, identifier
 from rigtool.experiments.deploy.position_map import TURN, position_map
-from rigtool.experiments.deploy.stored_export import chosen_format, export_table
+from rigtool.experiments.deploy.stored_export import MAP_FORMATS, chosen_format, export_table
 from rigtool.experiments.learning.learned_table import COULOMB, VISCOUS, LearnedTable
+from rigtool.experiments.learning.rows import Amplitudes
+from rigtool.experiments.learning.stored_table import (
+    learned_table_from,
+    period_results,
+    tables_of,
+)
+from rigtool.experiments.torque_per_ampere import constant_result, torque_per_ampere
 from rigtool.quantity import Quantity
 from rigtool.runfile import RunWriter, open_run
 from tests.control import test_lookup_table
@@ -40,7 +47,9 @@ int main(void)
 """
 
 
-def taken(table, u=None, *, unit="N m", quantity="torque", friction=None, band_speed=None):
+def taken(
+    table, u=None, *, unit="N m", quantity="torque", friction=None, band_speed=None, constant=None
+):
     """Return a learned table as the run file would give it."""
     u = np.full(table.torque.shape, 1e-5) if u is None else u
     return LearnedTable(
@@ -55,6 +64,7 @@ def taken(table, u=None, *, unit="N m", quantity="torque", friction=None, band_s
             "Rig bench; learned on 2026-01-02, rigtool 0.1.0.",
             "File t.h5, content sha256 ab.",
         ),
+        constant=constant,
     )
 
 
@@ -382,3 +392,67 @@ def test_the_unit_that_a_drive_takes(tmp_path):
         in_unit(turn, torque, "moteus", None)
     with pytest.raises(UsageError, match="holds 1, moteus takes A"):
         in_unit(turn, taken(table, u, unit="1"), "moteus", None)
+
+
+def written(path, command, results, tables=None, inputs=()):
+    with RunWriter(path, command=command, inputs=inputs) as writer:
+        writer.finish(results, tables or {})
+    return path
+
+
+def calibration(folder, constant):
+    """Write a calibration: an amplifier of gain 0.92, and a constant of the motor."""
+    results = {
+        "torque_constant_mean": Quantity(constant, "N m/A", 1e-5),
+        "amplifier_gain": Quantity(0.92, "1", 1e-4),
+    }
+    return written(folder / f"kt-{constant * 1e3:g}.h5", "calibrate-kt", results)
+
+
+def of_whole_turns(path, kt, *, states_constant):
+    """Write a table of whole turns, learned with a calibration."""
+    table, u = turning()
+    tables = tables_of(
+        table, u, Amplitudes.fading(table.low_speed[-1]), np.full(len(table.speed), np.inf)
+    )
+    results = period_results(table)
+    if states_constant:
+        results |= constant_result(torque_per_ampere(kt).value)
+    return written(path, "ilc-learn", results, tables, [kt])
+
+
+@pytest.mark.parametrize("ending", ["csv", "json"])
+@pytest.mark.parametrize("wanted", ["moteus", "odrive", "fourier", "table", "c", "c-int16"])
+def test_every_format_is_of_the_current_that_was_learned(tmp_path, wanted, ending):
+    """Where N m are written, the line beside them says which current they are."""
+    path = tmp_path / {"moteus": "t.cfg", "c": "t.h", "c-int16": "t.h"}.get(wanted, f"t.{ending}")
+    speed = 2.0 if wanted in MAP_FORMATS else None
+    with open_run(calibration(tmp_path, 0.045)) as kt:
+        stored = of_whole_turns(tmp_path / "turning.h5", kt, states_constant=True)
+    with open_run(stored) as run, open_run(calibration(tmp_path, 0.05)) as later:
+        given = later if wanted == "moteus" else None
+        notes = export_table(run, path, wanted, speed=speed, kt=given, overwrite=False)
+        learned = learned_table_from(run)
+        turn = position_map(learned.table, learned.u, 2.0)
+    text = " ".join(path.read_text().replace("*", " ").split())
+    assert "Torque over 0.0414 N m/A is the current set point that was learned." in text
+    if wanted == "moteus":
+        scale, *codes = (float(line.split()[1]) for line in path.read_text().splitlines()[-1025:])
+        assert scale * max(map(abs, codes)) == pytest.approx(
+            np.abs(turn.values).max() / (0.045 * 0.92), rel=0.01
+        )
+        assert any("kt-50.h5 states 46 mN m/A, which does not change them" in n for n in notes)
+
+
+def test_an_older_table_goes_with_its_own_calibration_only(tmp_path):
+    """Such a table does not state the constant of its currents."""
+    with (
+        open_run(calibration(tmp_path, 0.045)) as kt,
+        open_run(calibration(tmp_path, 0.05)) as later,
+    ):
+        stored = of_whole_turns(tmp_path / "turning.h5", kt, states_constant=False)
+        out = tmp_path / "t.cfg"
+        with open_run(stored) as run:
+            export_table(run, out, "moteus", speed=2.0, kt=kt, overwrite=False)
+            with pytest.raises(UsageError, match=r"ilc-learn turning.h5 --kt kt-50.h5 -o"):
+                export_table(run, out, "moteus", speed=2.0, kt=later, overwrite=True)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from rigtool.errors import RunFileError, UsageError
+from rigtool.experiments.deploy import stored_sensor
 from rigtool.experiments.deploy.stored_export import SENSOR_FORMAT, chosen_format, export_table
 from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.force_model import ForceModel
@@ -16,9 +17,11 @@ from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.experiments.force_model.stored import (
+    CONSTANT,
     COVARIANCE,
     MODEL_PREFIX,
     MODEL_UNITS,
+    OFFSET,
     TERMS,
     model_from,
     model_results,
@@ -31,6 +34,8 @@ from rigtool.experiments.force_sensor import procedure_calibration
 from rigtool.experiments.force_sensor.procedure_calibration import with_zero_of
 from rigtool.experiments.force_sensor.procedure_over_time import reach_of
 from rigtool.experiments.force_sensor.procedure_reading import instrument_of
+from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
+from rigtool.quantity import REFERENCE_DEGC, Quantity
 from rigtool.recipe import load_recipe
 from rigtool.runfile import RunWriter, open_run
 from tests.experiments.deploy.sensors import INTERVAL, SCALES, compiled, expected, moved
@@ -201,6 +206,31 @@ def test_a_calibration_of_another_motor_is_refused(tables, kt, tmp_path, monkeyp
         export(tables, tmp_path / "sensor.h", kt)
     monkeypatch.setattr(procedure_calibration, "OTHER_MOTOR", 1.03)
     export(tables, tmp_path / "sensor.h", kt)
+
+
+def test_a_later_calibration_widens_u_and_is_remarked(tables, kt, tmp_path, monkeypatch):
+    """As `measure-force` does: either torque constant may be wrong."""
+    now = torque_per_ampere_at(kt, REFERENCE_DEGC)
+    then = {
+        MODEL_PREFIX + CONSTANT: replace(now, value=1.05 * now.value),
+        MODEL_PREFIX + OFFSET: Quantity(-3e-3, "A", 0.0),
+    }
+    monkeypatch.setattr(tables, "results", {**tables.results, **then})
+    given = []
+    header = stored_sensor.sensor_header
+    monkeypatch.setattr(
+        stored_sensor, "sensor_header", lambda own, *more: given.append(own) or header(own, *more)
+    )
+    notes = export(tables, tmp_path / "sensor.h", kt)
+    np.testing.assert_allclose(given[0].model.scales[1, :, 0], SCALES[:, 0], rtol=1e-12, atol=0)
+    np.testing.assert_allclose(
+        given[0].model.scales[1, :, 1],
+        np.hypot(SCALES[:, 1], 0.05),
+        rtol=1e-12,
+        atol=0,
+    )
+    assert any("torque constant that differs by -5.00 %" in note for note in notes)
+    assert any("a zero of the current that has moved by" in note for note in notes)
 
 
 def test_another_run_is_no_calibration(tables, tmp_path):

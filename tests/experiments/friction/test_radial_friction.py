@@ -40,10 +40,11 @@ def test_growth_is_that_at_equal_speeds_with_the_scatter_of_both():
 
 
 def test_friction_that_wanders_from_hold_to_hold_is_part_of_u():
-    """Growth by 8, 12, 9 and 11 e-4 forwards and twice 20 e-4 backwards, whose own u is 1e-5."""
+    """Growth by 8, 12, 9 and 11 e-4 forwards, and as much more at each speed backwards: to and fro
+    at one speed have the same friction, which their mean holds whole. Each u is 1e-5."""
     found = Findings(Scale(Quantity(0.05, "N m/A", 0.0)))
-    speed = np.array([1.0, 2.0, 3.0, 5.0, -1.0, -2.0])
-    grown = np.array([8, 12, 9, 11, 20, 20]) * 1e-4
+    speed = np.array([1.0, 2.0, 3.0, 5.0, -1.0, -2.0, -3.0, -5.0])
+    grown = np.array([8, 12, 9, 11, 18, 22, 19, 21]) * 1e-4
     before = holds(speed, np.sign(speed) * 2e-3, 1e-5, 9)
     after = holds(speed, np.sign(speed) * (2e-3 + grown), 1e-5, 9)
     add_radial_friction(before, after, 20.0, found)
@@ -52,12 +53,25 @@ def test_friction_that_wanders_from_hold_to_hold_is_part_of_u():
         for line in found.results["radial_load_friction"].budget
         if line.name == "friction from hold to hold"
     )
-    # squares about each direction's mean: 4 + 4 + 1 + 1, over four degrees of freedom
-    variance = 10e-8 / 4 - 2 * 1e-10
-    # each direction has half of the weight: 4 of an eighth, 2 of a quarter
-    assert line.contribution == pytest.approx(math.sqrt(variance * (4 / 64 + 2 / 16)), rel=1e-9)
-    # of the difference: the variance of 10e-8/4 by its four degrees, relative to what is left
-    assert line.dof == pytest.approx(4 * (variance / (10e-8 / 4)) ** 2, rel=1e-9)
+    # of the mean of four speeds, about it: squares 4 + 4 + 1 + 1 over three degrees of freedom;
+    # eight holds with and eight without the force explain 2e-10/8
+    square = 10e-8 / 3 / 4
+    variance = square - 2e-10 / 8
+    assert line.contribution == pytest.approx(math.sqrt(variance), rel=1e-9)
+    assert line.dof == pytest.approx(3 * (variance / square) ** 2, rel=1e-9)
+
+
+def test_holds_to_and_fro_that_differ_the_opposite_way_do_not_wander():
+    """What one direction has more of, the other has less: their mean is the same at each speed."""
+    found = Findings(Scale(Quantity(0.05, "N m/A", 0.0)))
+    speed = np.array([1.0, 2.0, 3.0, -1.0, -2.0, -3.0])
+    grown = np.array([9, 10, 11, 11, 10, 9]) * 1e-4
+    before = holds(speed, np.sign(speed) * 2e-3, 1e-5, 9)
+    after = holds(speed * 1.001, np.sign(speed) * (2e-3 + grown), 1e-5, 9)
+    add_radial_friction(before, after, 20.0, found)
+    result = found.results["radial_load_friction"]
+    assert result.value == pytest.approx(1e-3, rel=1e-9)
+    assert result.u == pytest.approx(1e-5 * math.sqrt(2 / 6), rel=1e-9)
 
 
 def test_wander_that_the_scatter_of_holds_nearly_hides_is_known_by_little():

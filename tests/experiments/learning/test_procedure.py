@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError, RecipeError, RunFileError, UsageError
+from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
 from rigtool.experiments.learning import procedure as ilc_learn
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.learning.stored_table import (
@@ -16,10 +17,18 @@ from rigtool.experiments.learning.stored_table import (
     require_same_rig,
 )
 from rigtool.experiments.running.options import CommonOptions
+from rigtool.experiments.torque_per_ampere import CONSTANT
 from rigtool.recipe import load_recipe
 from rigtool.recipe.commands import IlcLearn
 from rigtool.runfile import Column, Table, open_run
-from tests.experiments.virtual_runs import QUIET, RECIPE, run, write_kt, write_results
+from tests.experiments.virtual_runs import (
+    QUIET,
+    RECIPE,
+    TORQUE_CONSTANT,
+    run,
+    write_kt,
+    write_results,
+)
 from tests.thorough import first_of
 from tests.unchanged import require_unchanged
 
@@ -145,6 +154,31 @@ def test_the_stored_moves_give_the_same_again(learned, folder, kt):
         table = lookup_table_from(stored)
     np.testing.assert_array_equal(table.torque, outcome.tables["lookup"]["torque"])
     np.testing.assert_array_equal(table.amplitude, outcome.tables["amplitude"]["amplitude"])
+
+
+def test_currents_are_those_that_were_learned_whatever_a_later_calibration_states(
+    learned, folder, kt
+):
+    """The table and the loop make current with the constant that the table was learned with."""
+    assert learned[1].results[CONSTANT].value == pytest.approx(TORQUE_CONSTANT, rel=1e-12)
+    other = write_results(
+        folder / "other.h5",
+        "calibrate-kt",
+        torque_constant_mean=(0.92 * TORQUE_CONSTANT, "N m/A"),
+        amplifier_gain=(1.0, "1"),
+    )
+    short = (PULLEY, "measure_force.cycles=3", "measure_force.forces=[1]")
+    signals = []
+    for number, calibration in enumerate((kt, other)):
+        path = folder / f"force-{number}.h5"
+        found = run(MEASURE_FORCE, RECIPE, path, *short, kt=calibration, tables=learned[0])
+        with open_run(path) as stored:
+            recorded = stored.recordings["load_001"]
+            signals.append([recorded.read(name) for name in ("table_current", "encoder")])
+    assert np.ptp(signals[0][0]) > 0
+    np.testing.assert_array_equal(signals[1][0], signals[0][0])
+    np.testing.assert_array_equal(signals[1][1], signals[0][1])
+    assert any("turned into the currents that were learned" in note for note in found.notes)
 
 
 def test_another_filter_is_distinguished_from_the_one_that_was_recorded(learned, folder, kt):

@@ -140,7 +140,8 @@ def analyse(
     """
     require_rig(tables, recipe)
     run, learned = common.only_run(runs), learned_table_from(tables)
-    constant, learning = torque_per_ampere(kt).value, _filters(recipe, plant, tables)
+    constant = learned.constant or torque_per_ampere(kt).value  # currents are what is compared
+    learning = _filters(recipe, plant, tables)
     recorded = run.recordings_named("check_") or run.recordings_of("learn")
     fed = friction_beside(tables)
     whole = learned.table.period is not None

@@ -14,7 +14,7 @@ from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.recipe import load_recipe
 from rigtool.runfile import open_run
-from tests.experiments.virtual_runs import RECIPE, run, write_kt, write_results
+from tests.experiments.virtual_runs import RECIPE, TORQUE_CONSTANT, run, write_kt, write_results
 from tests.thorough import first_of
 from tests.unchanged import require_unchanged
 
@@ -105,6 +105,19 @@ def test_friction_that_drifted_is_reported(turned, folder, kt):
     assert "shifted by" not in verdict
     # The torque constant that --kt assumes is not the rig's, and static friction is still there.
     assert found.value == pytest.approx(change, rel=0.25, abs=0)
+
+
+def test_another_calibration_is_no_change_of_the_rig(turned, folder, kt):
+    """Currents are compared: what a later calibration states changes none."""
+    tables, seed = turned
+    other = write_results(
+        folder / "other.h5",
+        "calibrate-kt",
+        torque_constant_mean=(0.9 * TORQUE_CONSTANT, "N m/A"),
+        amplifier_gain=(1.0, "1"),
+    )
+    found = check(tables, folder, other, seed=seed)
+    assert found.results == check(tables, folder, kt, seed=seed).results
 
 
 class Slipped:
