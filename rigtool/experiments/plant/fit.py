@@ -64,12 +64,15 @@ BY_STEPS = 0.5
 
 LAST_STEPS, DIFFERENCE = 2, 1e-4
 """Steps of Gauss and Newton after the search for the rigid plant, and half of the differences, in
-scaled parameters, of their derivatives: the search ends by rounding, each version of it elsewhere
-by 1e-5 u."""
+scaled parameters, of their derivatives: the search ends by rounding, each version of it elsewhere,
+by up to 4e-5 u."""
 
 LONGEST_STEP = 0.01
 """Length of such a step, in scaled parameters, beyond which the lines do not determine them, and
 the search has the last word."""
+
+UNKNOWN = 1.0
+"""Change of ln J by scatter from which the response does not show an inertia."""
 
 MAX_EVALUATIONS = 500
 """Largest number of evaluations in one fit; without a second mass it does not converge."""
@@ -284,7 +287,10 @@ class _Data:
         return replace(fit, misfit=math.sqrt(here @ here / self.freedom(fit)))
 
     def with_scatter(self, fit: PlantFit) -> PlantFit:
-        """Return the fit with `without` and `moved`, from which its uncertainty follows."""
+        """Return the fit with `without` and `moved`, from which its uncertainty follows.
+
+        Raises `InsufficientDataError` where either changes ln J by more than `UNKNOWN`.
+        """
         scale, origin = _scale(fit), _parameters(fit)
         here = self.residuals(fit, self.found.response)
         step = 1e-4
@@ -297,16 +303,27 @@ class _Data:
         )
         inverse = np.linalg.pinv(jacobian)
         each = self.found.each
-        without = []
-        for number in range(len(each)):
-            rest = np.delete(each, number, axis=0).mean(axis=0)
-            change = self.residuals(fit, rest) - here
-            without.append(_with(fit, origin - scale * (inverse @ change)))
+        rests = (np.delete(each, number, axis=0).mean(axis=0) for number in range(len(each)))
+        without = [inverse @ (here - self.residuals(fit, rest)) for rest in rests]
         # Residuals scatter by one: the shift of the parameters has these principal axes.
         axes, sizes, _ = np.linalg.svd(inverse, full_matrices=False)
-        steps = axes * sizes * max(1.0, fit.misfit)
-        moved = tuple(_with(fit, origin + scale * step) for step in steps.T)
-        return replace(fit, without=tuple(without), moved=moved)
+        moved = list((axes * sizes * max(1.0, fit.misfit)).T)
+        if (unknown := float(np.abs([step[0] for step in without + moved]).max())) > UNKNOWN:
+            raise InsufficientDataError(_inertia_unknown(fit, self.found.frequency[-1], unknown))
+        one, other = (
+            tuple(_with(fit, origin + scale * step) for step in steps) for steps in (without, moved)
+        )
+        return replace(fit, without=one, moved=other)
+
+
+def _inertia_unknown(fit: PlantFit, highest: float, unknown: float) -> str:
+    """Return why the response does not show an inertia, and what helps."""
+    corner = fit.model.viscous / fit.model.inertia / (2 * math.pi)
+    return (
+        f"the inertia is unknown: scatter changes its logarithm by {unknown:.2g} ({UNKNOWN:g} at "
+        f"most); viscous friction outweighs it up to some {corner:.3g} Hz, and lines end at "
+        f"{highest:.3g} Hz; raise identify_plant.frequency_max, or swing or periods against scatter"
+    )
 
 
 # Parameters as a vector: ln J, fv, tau, c, d; for two masses also ln(J1/J2), ln of the

@@ -66,6 +66,21 @@ def test_the_unit_of_torque_changes_nothing(model):
         assert other.doubt(statistic) / size == pytest.approx(one.doubt(statistic), rel=1e-3)
 
 
+@pytest.mark.parametrize("seed", [1, 4])
+def test_an_inertia_that_friction_hides_is_refused(seed):
+    """Up to 1.3 kHz friction outweighs it, and lines end at 248 Hz."""
+    with pytest.raises(InsufficientDataError, match="scatter changes its logarithm by"):
+        fitted(PlantModel(5e-7, 4e-3), seed, noise=0.02, lag=1e-4)
+
+
+@pytest.mark.parametrize("seed", [0, 2, 3])
+def test_one_that_friction_nearly_hides_is_uncertain(seed):
+    fit = fitted(PlantModel(5e-7, 4e-3), seed, noise=0.02, lag=1e-4)
+    u = fit.scatter(lambda fit: fit.model.inertia)
+    assert 0.2 < u / fit.model.inertia < 1.5
+    assert abs(fit.model.inertia - 5e-7) < 3 * u
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_fit_ends_at_the_same_wherever_its_search_begins(seed):
     found = measured(RIGID, seed)
