@@ -156,8 +156,15 @@ def test_the_exponent_of_friction_comes_from_the_staircases(exponent):
     assert abs(found.torque_constant.value - 45.8e-3) < 2.5 * found.torque_constant.u
 
 
-def test_friction_that_is_too_large_is_the_reason_of_the_refusal():
+def test_friction_that_changes_a_slope_by_a_third_is_taken_out():
     bench = Bench(friction=30e-3, presliding_angle=3e-3)
+    found = analyse(bench, bench.record((20,), angles=4)).mean
+    assert found.u < 0.02 * found.value
+    assert abs(found.value - bench.torque_constant) < 2 * found.u
+
+
+def test_friction_that_is_too_large_is_the_reason_of_the_refusal():
+    bench = Bench(friction=45e-3, presliding_angle=3e-3)
     with pytest.raises(InsufficientDataError, match=r"friction of the shaft shows .* raise curr"):
         analyse(bench, bench.record((20,), angles=4))
 
