@@ -28,7 +28,7 @@ import numpy as np
 
 from rigtool.errors import RunFileError
 from rigtool.experiments.imported import is_linear, rig_property
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 from rigtool.quantity import (
     CURRENT_READING,
     REFERENCE_DEGC,
@@ -49,6 +49,9 @@ with."""
 
 END_SAMPLES = 1024
 """Samples at either end of a recording that show its temperatures, which change slowly."""
+
+FAR_FROM_ZERO = 8.0
+"""Standard uncertainties from zero beyond which no part of a normal distribution is beyond it."""
 
 
 def torque_per_ampere(
@@ -106,19 +109,31 @@ def warmed(constant: Quantity, kt: Run, square: float, least: float = 0.0) -> Qu
     """Return a torque for each ampere while currents of the mean `square`, A2, heat the winding.
 
     The winding is warmer than the housing. How much of `winding_heat_loss` is reached is not known:
-    anything between the part `least` and the whole, a rectangular distribution (GUM 4.3.7). A loss
-    that does not show is as uncertain as it is large.
+    anything between the part `least` and the whole, a rectangular distribution (GUM 4.3.7). No
+    magnet gains by heat: of a loss that noise may have made negative, the positive part counts. One
+    without a standard uncertainty is as uncertain as it is large.
     """
     if "winding_heat_loss" not in kt.results:
         return constant
     loss = kt.result("winding_heat_loss", "1/A2")
+    lost, own = (loss.value,) * 2 if loss.u is None else _positive(loss.value, loss.u)
     reached, half = square * (1 + least) / 2, square * (1 - least) / 2
-    own = loss.value if loss.u is None else loss.u
-    u = constant.value * math.hypot(loss.value * half / math.sqrt(3), reached * own)
-    left = 1 - loss.value * reached
+    u = constant.value * math.hypot(lost * half / math.sqrt(3), reached * own)
+    left = 1 - lost * reached
     heat = error_line("heat of the winding", u, constant.unit)
     lines = [*inherited(constant, left, "torque constant"), heat]
     return combined(constant.value * left, constant.unit, lines)
+
+
+def _positive(value: float, u: float) -> tuple[float, float]:
+    """Return mean and standard deviation of the positive part of a normal distribution (N. L.
+    Johnson et al., Continuous Univariate Distributions, 2nd ed., 1994, section 13.10.1)."""
+    if value >= FAR_FROM_ZERO * u:
+        return value, u
+    ratio = max(value / max(u, TINY), -FAR_FROM_ZERO)
+    below = math.exp(-(ratio**2) / 2) / math.sqrt(2 * math.pi)
+    hazard = below / (math.erfc(-ratio / math.sqrt(2)) / 2)
+    return u * (ratio + hazard), u * math.sqrt(1 - ratio * hazard - hazard**2)
 
 
 def _constant(kt: Run, name: str, unit: str = "N m/A") -> Quantity:

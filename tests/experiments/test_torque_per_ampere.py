@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import truncnorm
 
 from rigtool.errors import RunFileError
 from rigtool.experiments.torque_per_ampere import (
@@ -138,16 +139,30 @@ def test_at_a_temperature_it_is_the_line_with_the_budget_of_its_derivatives(tmp_
 
 def test_currents_warm_the_winding_by_a_part_that_is_unknown(tmp_path):
     constant = combined(0.045, "N m/A", [error_line("torque constant", 9e-6, "N m/A")])
-    loss = Quantity(1e-3, "1/A2", 2e-4)
+    loss = Quantity(1e-3, "1/A2", 1e-4)
     with calibration(tmp_path / "kt.h5", winding_heat_loss=loss) as kt:
         found = warmed(constant, kt, 0.8, least=0.5)
     # From 0.4 to 0.8 A2 of 1e-3/A2: 0.6 in the middle, evenly distributed
     assert found.value == pytest.approx(0.045 * (1 - 0.6e-3), rel=1e-12)
     own, heat = (line.contribution for line in found.budget)
     assert own == pytest.approx(9e-6 * (1 - 0.6e-3), rel=1e-12)
-    assert heat == pytest.approx(0.045 * np.hypot(0.2e-3 / np.sqrt(3), 0.6 * 2e-4), rel=1e-12)
+    assert heat == pytest.approx(0.045 * np.hypot(0.2e-3 / np.sqrt(3), 0.6 * 1e-4), rel=1e-12)
     with calibration(tmp_path / "cold.h5") as kt:
         assert warmed(constant, kt, 0.8) is constant
+
+
+@pytest.mark.parametrize("ratio", [-12.0, -1.5, 0.0, 0.8, 3.0])
+def test_of_a_loss_that_noise_hides_the_positive_part_counts(tmp_path, ratio):
+    constant = combined(0.045, "N m/A", [error_line("torque constant", 9e-6, "N m/A")])
+    loss = Quantity(ratio * 2e-4, "1/A2", 2e-4)
+    with calibration(tmp_path / "kt.h5", winding_heat_loss=loss) as kt:
+        found = warmed(constant, kt, 0.8, least=1.0)
+    part = truncnorm(-max(ratio, -8.0), np.inf, max(ratio, -8.0), 1.0)
+    assert 1 - found.value / 0.045 == pytest.approx(0.8 * 2e-4 * part.mean(), rel=1e-6)
+    assert found.budget[1].contribution == pytest.approx(0.045 * 0.8 * 2e-4 * part.std(), rel=1e-6)
+    certain = Quantity(-1e-4, "1/A2", 0.0)
+    with calibration(tmp_path / "no.h5", winding_heat_loss=certain) as kt:
+        assert warmed(constant, kt, 0.8).value == constant.value
 
 
 class Imported:

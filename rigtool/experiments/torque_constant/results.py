@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from rigtool.experiments.outcome import Outcome
@@ -65,24 +63,10 @@ def _results(found: Calibration, reading_relative_u: float) -> dict[str, Quantit
         hysteresis = Quantity(slopes.hysteresis, "N m", reason=reason)
     lack = "lack of fit and scatter"
     largest = float(np.max(np.abs(slopes.level)))
-    heat_loss = [
-        error_line("scatter over the angles", slopes.lasting_heating_u, "1/A2", slopes.heating_dof),
-        error_line(
-            "time constant of the winding, path of friction", slopes.lasting_heating_spread, "1/A2"
-        ),
-        # At the largest current, an error of the slope passes for a loss.
-        error_line(
-            MODEL_OF_FRICTION, found.components.get(MODEL_OF_FRICTION, 0.0) / largest**2, "1/A2"
-        ),
-    ]
-    if math.isfinite(slopes.lasting_heating_spread):
-        loss = combined(slopes.lasting_heating, "1/A2", heat_loss)
-    else:
-        reason = (
-            "the staircases show no loss by heat: without one, they are explained as well; it may "
-            "hide in noise and friction; raise current_max or staircases"
-        )
-        loss = Quantity(slopes.lasting_heating, "1/A2", reason=reason)
+    # At the largest current, an error of the slope passes for a loss.
+    model_u = found.components.get(MODEL_OF_FRICTION, 0.0) / largest**2
+    heat = [*slopes.lasting_heating.budget, error_line(MODEL_OF_FRICTION, model_u, "1/A2")]
+    loss = combined(slopes.lasting_heating.value, "1/A2", heat)
     results = {
         "torque_constant": found.torque_constant,
         "torque_constant_temperature_coefficient": found.coefficient,

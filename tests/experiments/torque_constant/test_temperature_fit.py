@@ -158,8 +158,15 @@ def test_the_exponent_of_friction_comes_from_the_staircases(exponent):
     assert abs(found.torque_constant.value - 45.8e-3) < 2.5 * found.torque_constant.u
 
 
-def test_friction_that_is_too_large_is_the_reason_of_the_refusal():
+def test_friction_that_changes_a_slope_by_a_third_is_taken_out():
     bench = Bench(friction=30e-3, presliding_angle=3e-3)
+    found = analyse(bench, bench.record((20,), angles=4)).mean
+    assert found.u < 0.02 * found.value
+    assert abs(found.value - bench.torque_constant) < 2 * found.u
+
+
+def test_friction_that_is_too_large_is_the_reason_of_the_refusal():
+    bench = Bench(friction=45e-3, presliding_angle=3e-3)
     with pytest.raises(InsufficientDataError, match=r"friction of the shaft shows .* raise curr"):
         analyse(bench, bench.record((20,), angles=4))
 
@@ -597,12 +604,12 @@ def test_the_loss_by_a_lasting_current_is_as_uncertain_as_the_time_constant(benc
         for settle in (bench.settle_time, bench.settle_time + bench.sample_time)
     ]
     one, other = (fit_staircases(each) for each in plateaus)
-    u = math.hypot(one.lasting_heating_u, one.lasting_heating_spread)
+    found, again = one.lasting_heating, other.lasting_heating
     warming = -bench.time_constant * math.expm1(-HEATING_TIME / bench.time_constant)
     true = -bench.coefficient * bench.heating * warming
-    assert abs(one.lasting_heating - true) < 2 * u
-    assert abs(one.lasting_heating - other.lasting_heating) < u  # one sample of settling
-    assert (one.lasting_heating_spread > 0.1 * true) == (bench.time_constant > 20)
+    assert abs(found.value - true) < 2 * found.u
+    assert abs(found.value - again.value) < found.u  # one sample of settling
+    assert (found.budget[1].contribution > 0.1 * true) == (bench.time_constant > 20)
 
 
 def test_one_rotor_angle_leaves_the_heat_unknown():
@@ -711,14 +718,16 @@ def test_torque_scales_the_constant_and_nothing_else(factor, seed):
     assert_allclose(other.mean.u, one.mean.u * factor, rtol=1e-3)
     assert_allclose(other.coefficient.value, one.coefficient.value, rtol=1e-4)
     alike = (
-        "heating heating_u heating_dof lasting_heating lasting_heating_u lasting_heating_spread "
-        "friction_u friction_dof friction_share deflection deflection_u "
-        "exponent time_constant temperature level dof hysteresis_dof"
+        "heating heating_u heating_dof friction_u friction_dof friction_share deflection "
+        "deflection_u exponent time_constant temperature level dof hysteresis_dof"
     )
     scaled = (
         "slope first first_u zero zero_u u transition rising falling hysteresis hysteresis_u "
         "trend_u"
     )
+    losses = (found.slopes.lasting_heating for found in (one, other))
+    (a, a_u), (b, b_u) = ((loss.value, loss.u) for loss in losses)
+    assert (b, b_u) == pytest.approx((a, a_u), rel=2e-3)
     for names, size in ((alike, 1.0), (scaled, factor)):
         for name in names.split():
             a, b = (getattr(found.slopes, name) for found in (one, other))

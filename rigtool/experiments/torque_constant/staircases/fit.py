@@ -40,6 +40,7 @@ from rigtool.experiments.torque_constant.staircases.refusals import (
 from rigtool.numerics.arrays import TINY, Array
 from rigtool.numerics.residual_covariance import independent_samples, long_run_covariance
 from rigtool.numerics.turn_mean import mean_over_turn
+from rigtool.quantity import Quantity
 
 SAME_TEMPERATURE = 2.0
 """Range of staircases that count as one temperature, K."""
@@ -61,11 +62,10 @@ class Slopes:
     `deflection_u` its standard uncertainty.
     `heating` is the relative amount by which heat in the winding lowered the slopes on average,
     `heating_u` its standard uncertainty with `heating_dof`; `lasting_heating` 1/A2 is what a
-    current lowers the constant by within `HEATING_TIME`, over its square, `lasting_heating_u` its
-    standard uncertainty from scatter, `lasting_heating_spread` that from tau and from friction's
-    path, infinite where no loss shows; `friction_u` the relative standard uncertainty from the
-    model of friction with `friction_dof`, `friction_share` the relative part by which friction
-    changes a straight line's slope; `resolution_u` that from the resolution of the gauge,
+    current lowers the constant by within `HEATING_TIME`, over its square; `friction_u` the relative
+    standard uncertainty from the model of friction with `friction_dof`, `friction_share` the
+    relative part by which friction changes a straight line's slope; `resolution_u` that from the
+    resolution of the gauge,
     `rounding` (places, m) in N m/A what it adds to each slope with the gauge's zero at some places
     within its step; `trend_u` in N m/(A K) is what both give a change with temperature, `ripple_u`
     what friction's scatter gives the size of the ripple, relative. `transition` is s of (1) in N m
@@ -89,9 +89,7 @@ class Slopes:
     heating: float
     heating_u: float
     heating_dof: float
-    lasting_heating: float
-    lasting_heating_u: float
-    lasting_heating_spread: float
+    lasting_heating: Quantity
     friction_u: float
     friction_dof: float
     friction_share: float
@@ -130,7 +128,6 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     friction = hypotheses.means.friction_of_each(best)
     given = stairs, best.time_constant, friction, coefficient, rise
     solution, steady = _solve(*given), _solve(*given, steady=True)
-    lasting, lasting_u = loss_by_heat(hypotheses)
     constant = hypotheses.constant
     share = abs(straight_slope(stairs) / constant - 1 + solution.heating)
     fitted = stairs.torque - solution.fit.residual
@@ -173,9 +170,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         heating=solution.heating,
         heating_u=solution.heating_u,
         heating_dof=solution.heating_dof,
-        lasting_heating=lasting,
-        lasting_heating_u=solution.loss_u * best.warming(),
-        lasting_heating_spread=lasting_u,
+        lasting_heating=loss_by_heat(hypotheses),
         friction_u=math.hypot(u, hypotheses.spread) / constant,
         friction_dof=dof,
         friction_share=share,
@@ -217,8 +212,6 @@ class _Solution:
     heating: float
     heating_u: float
     heating_dof: float
-    loss: float
-    loss_u: float
     fit: LeastSquares
     off_line: Array
 
@@ -270,8 +263,6 @@ def _solve(
         heating=loss * share,
         heating_u=loss_u * share,
         heating_dof=loss_dof,
-        loss=loss,
-        loss_u=loss_u,
         fit=fit,
         off_line=stairs.torque - current * slope[:, None] - stairs.weight * fit.own[:, 1:2],
     )

@@ -20,9 +20,11 @@ shows its stiffness.
 
 Loss of the torque constant by a current that lasts:
 
-    loss = mean over hypotheses that have one of g tau (1 - exp(-t/tau)),   t = HEATING_TIME
+    loss = mean over hypotheses of g tau (1 - exp(-t/tau)),   t = HEATING_TIME
 
-with g of (1) in `rigtool.experiments.torque_constant.staircases.model`. A staircase shows how much
+with g of (1) in `rigtool.experiments.torque_constant.staircases.model`, of either sign: a result
+that only may be positive is too large wherever noise hides it (S. L. R. Ellison, A. Williams,
+Eurachem/CITAC Guide CG 4, 3rd ed., 2012, appendix F). A staircase shows how much
 its own heat takes, and little of a time constant tau beyond its length: the loss by a lasting
 current is an extrapolation along tau. Where friction is large, an error of its law passes for
 another tau: friction that falls with speed is less in the swings than where the arm rests. What a
@@ -43,6 +45,7 @@ from rigtool.experiments.torque_constant.staircases.model import Common, Stairs
 from rigtool.experiments.torque_constant.staircases.swings import longest_lag
 from rigtool.experiments.torque_constant.staircases.winding_time import FEWEST_RESIDUALS
 from rigtool.numerics.arrays import TINY, Array
+from rigtool.quantity import Quantity, combined, error_line
 
 LONGEST_TRANSITION = 10.0
 """Largest transition of friction, as a multiple of the span of the torque."""
@@ -62,9 +65,6 @@ friction is less well tried would count against their tau."""
 LAW = 2e-3
 """Relative standard uncertainty of friction by its law: swings of 0.04 rad/s lower friction with a
 Stribeck velocity of 0.3 rad/s by 0.2 to 0.9 % for a moment."""
-
-SHOWN = 0.5
-"""Probability that there is a loss by heat below which the staircases do not show one."""
 
 FINER_GRIDS = 3
 """Grids that each cover the best of the one before."""
@@ -94,9 +94,11 @@ class Weighed:
     """Hypotheses (n,), the `best` of them, and what gives each its probability.
 
     `volume` (n,) is the part of the grid that each represents, `square` (n,) is Q, `independent`
-    the number of independent residuals. `slope` (n, 4) has the mean of the torque constants, N m/A,
-    their change with temperature, N m/(A K), the loss by heat within `HEATING_TIME` over the
-    square of the current, 1/A2, and the change with temperature if friction does not change.
+    the number of independent residuals. `slope` (n, 3) has the mean of the torque constants, N m/A,
+    their change with temperature, N m/(A K), and that if friction does not change. `loss` (k, 3)
+    has a loss by heat of either sign, within `HEATING_TIME` over the square of the current, 1/A2,
+    its variance by scatter, if all residuals are independent, and Q, `loss_volume` (k,) the part
+    of the grid that each represents.
     """
 
     best: Common
@@ -105,12 +107,19 @@ class Weighed:
     independent: float
     slope: Array
     variance: Array
+    loss_volume: Array
+    loss: Array
 
-    def probable(self, open_square: float = 0.0) -> Array:
-        """Return the probability of each (n,), where a Q of `open_square` is no evidence."""
-        square = self.square + open_square
-        likelihood = (square / square.min()) ** (-self.independent / 2)
-        return self.volume * likelihood / float(self.volume @ likelihood)
+    def probable(self) -> Array:
+        """Return the probability of each (n,)."""
+        return _probable(self.volume, self.square, self.independent)
+
+
+def _probable(volume: Array, square: Array, independent: float) -> Array:
+    """Return the probability of hypotheses (n,) of a `volume` that leave a `square`."""
+    likelihood = volume * (square / square.min()) ** (-independent / 2)
+    likelihood /= likelihood.sum()
+    return likelihood
 
 
 @dataclass(frozen=True)
@@ -156,7 +165,7 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
     probable = found.probable()
     mean = probable @ found.slope
     spread = np.sqrt(probable @ ((found.slope - mean) ** 2 + found.variance))
-    return Hypotheses(means, found, float(mean[0]), *spread[[0, 1, 3]].tolist())
+    return Hypotheses(means, found, float(mean[0]), *spread.tolist())
 
 
 def _find_arm(
@@ -190,10 +199,11 @@ def weighed(
     count = max(means.independent(tried.best(FEWEST_RESIDUALS)), FEWEST_RESIDUALS)
     # Half a normal distribution as wide as one residual leaves the loss by heat, of each kind.
     shows = (2 / math.sqrt(1 + count / means.kinds)) ** means.kinds
-    volume = (tried.volume * tried.warms)[:, None] * np.array([1.0, shows])
+    warmed = tried.volume * tried.warms
+    volume = warmed[:, None] * np.array([1.0, shows])
     slope, variance = (each.reshape(-1, each.shape[-1]) for each in (tried.slope, tried.variance))
-    best = tried.best(count)
-    return Weighed(best, volume.ravel(), tried.square.ravel(), count, slope, variance)
+    own = volume.ravel(), tried.square.ravel(), count, slope, variance
+    return Weighed(tried.best(count), *own, warmed, tried.loss)
 
 
 @dataclass(frozen=True)
@@ -204,7 +214,7 @@ class _Tried:
 
     `volume` (n,) is the part of the grid that each represents, `warms` (n,) the likelihood of its
     tau by the thermometer, `free` (n, 2) whether it has no friction, `square` (n, 2) is Q, `slope`
-    (n, 2, 4) what `Weighed` has.
+    (n, 2, 3) and `loss` (n, 3) what `Weighed` has.
     """
 
     place: Array
@@ -214,6 +224,7 @@ class _Tried:
     square: Array
     slope: Array
     variance: Array
+    loss: Array
 
     def best(self, independent: float) -> Common:
         """Return the likeliest hypothesis, with so many independent residuals."""
@@ -311,29 +322,34 @@ def _ranges(means: MeanStaircases, lag: tuple[float, float] | None) -> tuple[Arr
     )
 
 
-def loss_by_heat(hypotheses: Hypotheses) -> tuple[float, float]:
+def loss_by_heat(hypotheses: Hypotheses) -> Quantity:
     """Return the relative loss of the constant within `HEATING_TIME`, over the square of the
-    current, 1/A2, and its standard uncertainty by what the hypotheses leave open.
+    current, 1/A2, by hypotheses whose loss may have either sign.
 
-    It is that of the hypotheses that have one: those without are there for the constant. Where
-    those are the more probable, the staircases show no loss, and its uncertainty is infinite: what
-    is left of noise by being positive says nothing of a loss that is larger.
+    Its uncertainty is that of each by scatter, and what the hypotheses and tau leave open. What
+    correlates residuals is friction's path, by which the hypotheses differ: it does not count in
+    the scatter again.
     """
     means, found = hypotheses.means, hypotheses.weighed
-    losses = found.slope[:, 2]
     friction = float(means.contacts(found.best).level)
-    probable = found.probable(means.plateaus * (LAW * friction) ** 2)
-    probable = probable * (losses > 0)
-    shown = float(probable.sum())
-    probable /= max(shown, TINY)
+    losses, variance, square = found.loss.T
+    evident = square + means.plateaus * (LAW * friction) ** 2
+    probable = _probable(found.loss_volume, evident, found.independent)
     loss = float(probable @ losses)
-    if shown < SHOWN:
-        return loss, math.inf
-    spread = math.sqrt(float(probable @ ((losses - loss) ** 2 + found.variance[:, 2])))
+    scatter = math.sqrt(float(probable @ variance))
+    spread = math.sqrt(float(probable @ (losses - loss) ** 2))
     stairs = means.stairs
     length = float(np.mean(stairs.end.max(axis=1) - stairs.begin.min(axis=1)))
     step = (means.winding.high - means.winding.low) / (TIME_CONSTANTS - 1)
-    return loss, math.hypot(spread, loss * _untried(found.best, length, step))
+    open_u = math.hypot(spread, loss * _untried(found.best, length, step))
+    return combined(
+        loss,
+        "1/A2",
+        [
+            error_line("scatter", scatter, "1/A2", found.independent),
+            error_line("time constant of the winding, path of friction", open_u, "1/A2"),
+        ],
+    )
 
 
 def _untried(best: Common, length: float, step: float) -> float:

@@ -160,12 +160,13 @@ class MeanStaircases:
         a, b = -own * self.stairs.weight
         return a, b
 
-    def try_all(self, axes: list[Array]) -> tuple[Array, Array, Array, Array]:
+    def try_all(self, axes: list[Array]) -> tuple[Array, Array, Array, Array, Array]:
         """Return what all hypotheses of a grid leave, each without a loss by heat and with one.
 
-        That is where they have no friction (n, 2), their Q (n, 2), slopes (n, 2, 4) and variances
-        of these by what is possible for friction: mean, trend, loss by heat, and the trend with
-        friction that does not change.
+        That is where they have no friction (n, 2), their Q (n, 2), slopes (n, 2, 3) and variances
+        of these by what is possible for friction: mean, trend, and the trend with friction that
+        does not change; and of a loss by heat of either sign (n, 3) its value and variance by
+        scatter, if all residuals are independent, for `HEATING_TIME`, and Q.
         """
         lengths, tau, exponents = (np.exp(axis) for axis in axes[:3])
         lags: list[float | None] = [None]
@@ -177,26 +178,29 @@ class MeanStaircases:
         shape = (len(tau), *columns[0].shape[:3])
         each = [column.reshape(-1, *self._weight.shape) for column in columns]
         fits = [self._fit(*self.thermal(time_constant), each) for time_constant in tau.tolist()]
-        free, square, slope, variance = (
+        free, square, slope, variance, loss = (
             np.moveaxis(np.reshape(parts, (*shape, *parts[0].shape[1:])), 2, 0).reshape(
                 -1, *parts[0].shape[1:]
             )
             for parts in zip(*fits, strict=True)
         )
         warm = np.broadcast_to(warming(tau)[:, None, None], (len(lengths), *shape[:2], shape[3]))
-        slope[..., 2] *= warm.reshape(-1, 1)
-        variance[..., 2] *= warm.reshape(-1, 1) ** 2
-        return free, square, slope, variance
+        loss[:, 0] *= warm.ravel()
+        loss[:, 1] *= warm.ravel() ** 2
+        return free, square, slope, variance, loss
 
     def _fit(self, current: Array, lost: Array, friction: Sequence[Array]) -> tuple[Array, ...]:
         """Return, without a loss by heat and with one, where least squares find no friction (s, 2),
-        Q (s, 2), slopes (s, 2, 4) and their variances (s, 2, 4)."""
-        both = [self._fit_columns(current, heat, friction) for heat in ([], [lost])]
-        return tuple(np.stack(parts, axis=1) for parts in zip(*both, strict=True))
+        Q (s, 2), slopes (s, 2, 3) and their variances (s, 2, 3); and of one of either sign (s, 3)
+        its value, 1/(A2 s), variance and Q."""
+        *without, _ = self._fit_columns(current, [], friction)
+        *cold, loss = self._fit_columns(current, [lost], friction)
+        both = zip(without, cold, strict=True)
+        return *(np.stack(parts, axis=1) for parts in both), loss
 
     def _fit_columns(
         self, current: Array, lost: list[Array], friction: Sequence[Array]
-    ) -> tuple[Array, Array, Array, Array]:
+    ) -> tuple[Array, Array, Array, Array, Array]:
         """Return what `_fit` does, for columns without a loss by heat or with one."""
         q, r = self._factors(current, lost, friction)
         projected = np.swapaxes(q, 2, 3) @ self._torque
@@ -224,8 +228,13 @@ class MeanStaircases:
         follows = -others @ r[..., :-3, -3:-1]
         found[..., 0] += np.einsum("sgcf,sgf->sgc", follows, left.shift)
         varied = np.einsum("sgcf,sgfh,sgdh->sgcd", follows, left.covariance, follows)
-        if lost:  # no magnet gains by heat
+        loss = np.zeros((len(square), 3))
+        if lost:
             cover = others @ np.swapaxes(others, 2, 3) * variance + varied
+            loss[:, 0] = -found[..., 3, 0] @ self._share
+            loss[:, 1] = cover[..., 3, 3] @ self._share**2
+            loss[:, 2] = square * (1 - 2 * logarithm.sum(axis=1) / self.dof)
+            # no magnet gains by heat
             chance, shift = positive(-found[..., 3, 0], np.sqrt(cover[..., 3, 3]))
             found[..., 0] -= cover[..., 3] * (shift / cover[..., 3, 3])[..., None]
             logarithm = logarithm + chance
@@ -233,13 +242,11 @@ class MeanStaircases:
         square = square * (1 - 2 * logarithm.sum(axis=1) / self.dof)
         square = np.where(level > LARGEST_FRICTION * self._span, np.inf, square)
         mean = found[..., 0, 0] @ self._share
-        slope, spread = np.zeros((2, len(mean), 4))
-        slope[:, 0], slope[:, 1], slope[:, 3] = mean, trend, steady
-        spread[:, 0] = varied[..., 0, 0] @ self._share**2
-        if lost:
-            slope[:, 2] = -(found[..., 3, 0] @ self._share) / mean
-            spread[:, 2] = varied[..., 3, 3] @ self._share**2 / mean**2
-        return level <= 0, square, slope, spread * (level <= 0)[:, None]
+        slope, spread = np.stack([mean, trend, steady], axis=1), np.zeros((len(mean), 3))
+        spread[:, 0] = (varied[..., 0, 0] @ self._share**2) * (level <= 0)
+        loss[:, :2] /= np.stack([mean, mean**2], axis=1)
+        loss[:, 2] = np.where(level > LARGEST_FRICTION * self._span, np.inf, loss[:, 2])
+        return level <= 0, square, slope, spread, loss
 
     def _factors(
         self, current: Array, lost: list[Array], friction: Sequence[Array]

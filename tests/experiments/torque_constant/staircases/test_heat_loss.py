@@ -1,6 +1,5 @@
 """Loss of the torque constant by a current that lasts."""
 
-import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,11 +16,11 @@ from rigtool.experiments.torque_constant.staircases.model import HEATING_TIME, C
 BEST = Common(0.02, 1.0, 0.1, 30.0)
 
 
-def weighed_from(loss, square, independent=40.0):
-    slope = np.zeros((len(loss), 3))
-    slope[:, 2] = loss
-    nothing = np.zeros(slope.shape)
-    return Weighed(BEST, np.ones(len(loss)), np.asarray(square), independent, slope, nothing)
+def weighed_from(loss, square, variance=0.0, independent=40.0):
+    """Return hypotheses of which only the loss by heat is known."""
+    own = np.column_stack(np.broadcast_arrays(loss, variance, square))
+    unknown = np.full(len(loss), np.nan)
+    return Weighed(BEST, *[unknown] * 2, independent, *[unknown] * 2, np.ones(len(loss)), own)
 
 
 @pytest.mark.parametrize("time_constant", [5.0, 30.0, 150.0])
@@ -51,22 +50,22 @@ def loss_of(found, friction):
 def test_what_friction_by_its_law_leaves_open_is_no_evidence():
     """Two hypotheses of which the better leaves less than friction is known to."""
     found = weighed_from([1e-3, 2e-3], [1e-10, 4e-10])
-    assert loss_of(found, 0.0) == pytest.approx((1e-3, 0.0), abs=1e-8)
+    one = loss_of(found, 0.0)
+    assert (one.value, one.u) == pytest.approx((1e-3, 0.0), abs=1e-8)
     second = (4.4 / 4.1) ** -20.0
-    loss, u = loss_of(found, 4e-9**0.5 / LAW / 30**0.5)
-    assert loss == pytest.approx((1e-3 + second * 2e-3) / (1 + second), rel=1e-9)
-    assert u**2 == pytest.approx(1e-6 * second / (1 + second) ** 2, rel=1e-9)
+    other = loss_of(found, 4e-9**0.5 / LAW / 30**0.5)
+    assert other.value == pytest.approx((1e-3 + second * 2e-3) / (1 + second), rel=1e-9)
+    assert other.u**2 == pytest.approx(1e-6 * second / (1 + second) ** 2, rel=1e-9)
 
 
-def test_hypotheses_without_a_loss_say_nothing_about_its_size():
-    """They are tried for the sake of the constant. Where they are as probable, no loss shows."""
-    found = weighed_from([0.0, 1e-3, 0.0, 2e-3], [1.01e-10, 1e-10, 1.01e-10, 1e-10])
-    assert loss_of(found, 0.0) == pytest.approx((1.5e-3, 0.5e-3), rel=1e-9)
-    hidden = weighed_from([0.0, 1e-3, 0.0, 2e-3], [1e-10, 1.01e-10, 1e-10, 1.01e-10])
-    assert loss_of(hidden, 0.0) == (pytest.approx(1.5e-3, rel=1e-9), math.inf)
+def test_a_loss_that_noise_makes_negative_is_stated_as_it_is():
+    found = loss_of(weighed_from([-3e-3, 1e-3], [1e-10, 1e-10]), 0.0)
+    assert (found.value, found.u) == pytest.approx((-1e-3, 2e-3), rel=1e-9)
 
 
-def test_what_a_hypothesis_leaves_open_by_itself_counts():
-    found = weighed_from([1e-3, 1e-3], [1e-10, 1e-10])
-    found.variance[:, 2] = 1e-8, 3e-8
-    assert loss_of(found, 0.0) == pytest.approx((1e-3, 2e-8**0.5), rel=1e-9)
+def test_scatter_of_each_hypothesis_counts_beside_their_spread():
+    found = loss_of(weighed_from([1e-3, 3e-3], [1e-10, 1e-10], [1e-8, 3e-8]), 0.0)
+    scatter, spread = found.budget
+    assert scatter.contribution == pytest.approx(2e-8**0.5, rel=1e-9)
+    assert scatter.dof == 40.0
+    assert spread.contribution == pytest.approx(1e-3, rel=1e-9)

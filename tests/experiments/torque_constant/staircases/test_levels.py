@@ -213,6 +213,28 @@ def test_friction_is_named_where_a_level_is_off_the_line():
         judged(stairs, bend=bend)
 
 
+@pytest.mark.parametrize(("part", "refused"), [(0.098, False), (0.102, True)])
+def test_large_friction_may_leave_a_tenth_of_itself(part, refused):
+    stairs = staircases(friction=0.026)
+    bend = np.where(np.isclose(stairs.setpoint, 3.0), -part * 0.026, 0.0)
+    if refused:
+        with pytest.raises(InsufficientDataError, match=r"off the line .* friction of the shaft"):
+            judged(stairs, bend=bend)
+    else:
+        judged(stairs, bend=bend)
+
+
+@pytest.mark.parametrize(("change", "refused"), [(1.48, False), (1.52, True)])
+def test_large_friction_may_change_a_slope_by_a_half(change, refused):
+    stairs = staircases(friction=0.026)
+    slope = change * straight_slope(stairs)
+    if refused:
+        with pytest.raises(InsufficientDataError, match=r"by 50 %: friction of the shaft"):
+            judged(stairs, slope)
+    else:
+        judged(stairs, slope)
+
+
 def test_a_level_that_scatters_is_not_off():
     stairs = staircases()
     scatter = np.random.default_rng(6).choice([-1.0, 1.0], stairs.torque.shape)
@@ -223,7 +245,7 @@ def test_a_level_that_scatters_is_not_off():
 @pytest.mark.parametrize(
     ("change", "refused"), [(1.24, False), (1.26, True), (0.76, False), (0.74, True)]
 )
-def test_friction_may_change_a_slope_by_a_quarter(change, refused):
+def test_heat_may_change_a_slope_by_a_quarter(change, refused):
     stairs = staircases(friction=1e-6)
     slope = change * straight_slope(stairs)
     if refused:

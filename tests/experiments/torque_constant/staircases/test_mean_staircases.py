@@ -57,7 +57,7 @@ def test_a_hypothesis_leaves_what_least_squares_leave_of_the_mean_staircase(stai
     assert means.dof == count - 7
     axes = [np.log([s / exponent]), np.log([tau]), np.log([exponent])]
     found = means.try_all(axes)
-    free, square, slope, variance = (each[0, int(loss > 0)] for each in found)
+    free, square, slope, variance = (each[0, int(loss > 0)] for each in found[:4])
     common = Common(None if free else s, exponent, None, tau)
     mean = current.mean(axis=0)
     columns = [mean, np.ones(count), stairs.last_step[0]]
@@ -82,17 +82,27 @@ def test_a_hypothesis_leaves_what_least_squares_leave_of_the_mean_staircase(stai
     np.testing.assert_allclose(slope[0], without_curve[0, 0], rtol=1e-6 if friction > 0 else 2e-4)
     # a loss by heat does not change with the temperature; friction may, or may not
     heat_free = columns[:3] + columns[3 + (loss > 0) :]
-    for found_trend, kept in ((slope[1], heat_free), (slope[3], [*heat_free[:3], *heat_free[4:]])):
+    for found_trend, kept in ((slope[1], heat_free), (slope[2], [*heat_free[:3], *heat_free[4:]])):
         expected = fitted(kept)[0][0, 1]
         assert found_trend == pytest.approx(expected, rel=1e-6 if friction > 0 else 0.01)
     assert (variance[0] > 0) == (friction < 0)
     assert free == (friction < 0)
-    lost = -without_curve[3, 0] / without_curve[0, 0] * common.warming() if loss > 0 else 0.0
-    assert slope[2] == pytest.approx(lost, rel=1e-6 if friction > 0 else 0.05)
     if loss < 0:
-        closest, none = found[1][0, 1], found[2][0, 1, 2]
-        assert closest == pytest.approx(square, rel=0.3)
-        assert 0 < none < 0.1 * -loss * common.warming()
+        assert found[1][0, 1] == pytest.approx(square, rel=0.3)
+    # of a loss by heat both signs are found, with the scatter that least squares state
+    value, lost_variance, lost_square = found[4][0]
+    columns = [mean, np.ones(count), stairs.last_step[0], (current * heat).mean(axis=0)]
+    columns += [-a, -b] if friction > 0 else []
+    least, _ = fitted(columns)
+    _, left = fitted([*columns, mean * np.abs(mean)])
+    inverse = np.linalg.pinv(np.column_stack(columns))[3]
+    scatter = inverse @ inverse * left / means.dof / least[0, 0] ** 2
+    exact = 1e-6 if friction > 0 else 0.05
+    lost = -least[3, 0] / least[0, 0]
+    assert value == pytest.approx(lost * common.warming(), rel=1e-2 if loss < 0 else exact)
+    if friction > 0:
+        assert lost_variance == pytest.approx(scatter * common.warming() ** 2, rel=1e-2)
+        assert lost_square == pytest.approx(left, rel=1e-6)
     if friction > 0 and loss > 0:
         rest = means.residual(common)
         assert rest @ rest == pytest.approx(left, rel=1e-6)
