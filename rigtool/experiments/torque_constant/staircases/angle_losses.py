@@ -47,12 +47,11 @@ def hidden_loss(stairs: Stairs, warmed: LeastSquares, sigma: float) -> tuple[flo
 
     Torques scatter by `sigma` N m. Orders of the ripple that the angles hide are as large as those
     that they show: `rigtool.numerics.angle_effects`. What scatter explains is taken off: it is
-    stated on its own. At a single rotor angle it is as large as g.
+    stated on its own. At a single rotor angle it is unknown: infinite.
     """
     losses, angle = _losses(warmed), stairs.rotor_angle
-    mean = mean_over_turn(angle, losses)
-    if mean.dof == 0:
-        return abs(mean.value), math.inf
+    if mean_over_turn(angle, losses).dof == 0:
+        return math.inf, math.inf
     u = sigma * np.linalg.norm(warmed.inverse[:, 1], axis=1) / np.abs(warmed.own[:, 0])
     found = fit_angle_effects(np.ones((len(u), 1)), losses, u, angle)
     square = float(found.covariance[0, 0]) - 1 / float(np.sum(u**-2))

@@ -329,7 +329,7 @@ def loss_by_heat(hypotheses: Hypotheses, hidden_u: float, hidden_dof: float) -> 
     Its uncertainty is that of each by scatter, and what the hypotheses and tau leave open. What
     correlates residuals is friction's path, by which the hypotheses differ: it does not count in
     the scatter again. Of ripple that the angles hide, the loss of each second, 1/(A2 s), has the
-    standard uncertainty `hidden_u` with `hidden_dof`.
+    standard uncertainty `hidden_u` with `hidden_dof`; where that is infinite, as large as the loss.
     """
     means, found = hypotheses.means, hypotheses.weighed
     friction = float(means.contacts(found.best).level)
@@ -343,11 +343,11 @@ def loss_by_heat(hypotheses: Hypotheses, hidden_u: float, hidden_dof: float) -> 
     length = float(np.mean(stairs.end.max(axis=1) - stairs.begin.min(axis=1)))
     step = (means.winding.high - means.winding.low) / (TIME_CONSTANTS - 1)
     open_u = math.hypot(spread, loss * _untried(found.best, length, step))
-    hidden_u *= found.best.warming()
+    hidden_u = abs(loss) if math.isinf(hidden_u) else hidden_u * found.best.warming()
     lines = [
         error_line("scatter", scatter, "1/A2", found.independent),
         error_line("time constant of the winding, path of friction", open_u, "1/A2"),
-        error_line("ripple that few angles hide", hidden_u, "1/A2", hidden_dof),
+        error_line("ripple over rotor angles", hidden_u, "1/A2", hidden_dof),
     ]
     return combined(loss, "1/A2", lines)
 

@@ -76,3 +76,5 @@ def test_what_angles_hide_of_each_second_counts_for_as_long_as_heat_lasts():
     found = loss_of(weighed_from([1e-3, 1e-3], [1e-10, 1e-10]), 0.0, (1e-5, 3.0))
     warming = -BEST.time_constant * math.expm1(-HEATING_TIME / BEST.time_constant)
     assert (found.u, found.dof) == pytest.approx((1e-5 * warming, 3.0), rel=1e-9)
+    unknown = loss_of(weighed_from([-1e-3, -1e-3], [1e-10, 1e-10]), 0.0, (math.inf, math.inf))
+    assert unknown.u == pytest.approx(1e-3, rel=1e-9)
