@@ -616,6 +616,8 @@ def test_one_rotor_angle_leaves_the_heat_unknown():
     bench = Bench(ripple=(), saturation=0.0)
     found = analyse(bench, bench.record((20, 35, 50), angles=1, shifted=False))
     assert found.components["heat in the winding"] == pytest.approx(found.slopes.heating, rel=1e-9)
+    loss = found.slopes.lasting_heating
+    assert loss.budget[-1].contribution == pytest.approx(abs(loss.value), rel=1e-9)
     assert abs(found.mean.value / (45.8e-3 * (1 - 1.16e-3 * 7.5)) - 1) < 2 * found.mean.u / 45e-3
 
 

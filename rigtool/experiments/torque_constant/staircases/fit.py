@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rigtool.experiments.torque_constant.staircases.angle_losses import heat_loss, hidden_loss
 from rigtool.experiments.torque_constant.staircases.gauge_rounding import (
     rounding_errors,
     spread_over_zeros,
@@ -39,7 +40,6 @@ from rigtool.experiments.torque_constant.staircases.refusals import (
 )
 from rigtool.numerics.arrays import TINY, Array
 from rigtool.numerics.residual_covariance import independent_samples, long_run_covariance
-from rigtool.numerics.turn_mean import mean_over_turn
 from rigtool.quantity import Quantity
 
 SAME_TEMPERATURE = 2.0
@@ -128,6 +128,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     friction = hypotheses.means.friction_of_each(best)
     given = stairs, best.time_constant, friction, coefficient, rise
     solution, steady = _solve(*given), _solve(*given, steady=True)
+    hidden = hidden_loss(stairs, solution.warmed, _scatter(stairs, solution.warmed)[0])
     constant = hypotheses.constant
     share = abs(straight_slope(stairs) / constant - 1 + solution.heating)
     fitted = stairs.torque - solution.fit.residual
@@ -170,7 +171,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         heating=solution.heating,
         heating_u=solution.heating_u,
         heating_dof=solution.heating_dof,
-        lasting_heating=loss_by_heat(hypotheses),
+        lasting_heating=loss_by_heat(hypotheses, *hidden),
         friction_u=math.hypot(u, hypotheses.spread) / constant,
         friction_dof=dof,
         friction_share=share,
@@ -212,6 +213,7 @@ class _Solution:
     heating: float
     heating_u: float
     heating_dof: float
+    warmed: LeastSquares
     fit: LeastSquares
     off_line: Array
 
@@ -245,7 +247,7 @@ def _solve(
         shared += [friction[0], left]
         shared += [] if steady else [rise[:, None] * friction[0]]
     warmed = LeastSquares(stairs.torque, [current, current * heat / size, *own], shared)
-    loss, loss_u, loss_dof = _heat_loss(stairs, warmed)
+    loss, loss_u, loss_dof = heat_loss(stairs, warmed)
     current = current * (1 - loss * heat / size)
     bend, first, first_u, u, dof = _bend(stairs, current, own, shared)
     top = float(np.max(np.abs(current)))
@@ -263,6 +265,7 @@ def _solve(
         heating=loss * share,
         heating_u=loss_u * share,
         heating_dof=loss_dof,
+        warmed=warmed,
         fit=fit,
         off_line=stairs.torque - current * slope[:, None] - stairs.weight * fit.own[:, 1:2],
     )
@@ -303,27 +306,6 @@ def _scatter(stairs: Stairs, fit: LeastSquares) -> tuple[float, int]:
         square = float(np.sum(fit.residual**2))
         free = max(float(stairs.weight.sum()) - fit.parameters, 1.0)
     return math.sqrt(square / free), int(free)
-
-
-def _heat_loss(stairs: Stairs, warmed: LeastSquares) -> tuple[float, float, float]:
-    """Return g of (1), its standard uncertainty, 1/(A2 s), and degrees of freedom.
-
-    The first columns of `warmed` are those of k and k g of each staircase. The uncertainty is that
-    by scatter over the angles, or by lack of fit of the mean staircase, whichever is larger. At a
-    single rotor angle it is unknown, and taken as large as the value. No magnet gains by heat:
-    where g comes out negative, it is 0, and what it would be is part of its uncertainty.
-    """
-    own = warmed.own
-    mean = mean_over_turn(stairs.rotor_angle, -own[:, 1] / own[:, 0])
-    loss = max(mean.value, 0.0)
-    if mean.dof == 0:
-        return loss, abs(mean.value), math.inf
-    common, used = warmed.residual.mean(axis=0), np.mean(stairs.weight, axis=0) > 0
-    independent = independent_samples(common, used, 1)
-    covariance, dof = long_run_covariance(warmed.design, common, independent)
-    lack = math.sqrt(float(covariance[1, 1])) / abs(float(np.mean(own[:, 0])))
-    u, freedom = (mean.u, mean.dof) if mean.u > lack else (lack, float(dof))
-    return loss, math.hypot(u, mean.value - loss), freedom
 
 
 def _rms(values: Array) -> float:

@@ -322,13 +322,14 @@ def _ranges(means: MeanStaircases, lag: tuple[float, float] | None) -> tuple[Arr
     )
 
 
-def loss_by_heat(hypotheses: Hypotheses) -> Quantity:
+def loss_by_heat(hypotheses: Hypotheses, hidden_u: float, hidden_dof: float) -> Quantity:
     """Return the relative loss of the constant within `HEATING_TIME`, over the square of the
     current, 1/A2, by hypotheses whose loss may have either sign.
 
     Its uncertainty is that of each by scatter, and what the hypotheses and tau leave open. What
     correlates residuals is friction's path, by which the hypotheses differ: it does not count in
-    the scatter again.
+    the scatter again. Of ripple that the angles hide, the loss of each second, 1/(A2 s), has the
+    standard uncertainty `hidden_u` with `hidden_dof`; where that is infinite, as large as the loss.
     """
     means, found = hypotheses.means, hypotheses.weighed
     friction = float(means.contacts(found.best).level)
@@ -342,14 +343,13 @@ def loss_by_heat(hypotheses: Hypotheses) -> Quantity:
     length = float(np.mean(stairs.end.max(axis=1) - stairs.begin.min(axis=1)))
     step = (means.winding.high - means.winding.low) / (TIME_CONSTANTS - 1)
     open_u = math.hypot(spread, loss * _untried(found.best, length, step))
-    return combined(
-        loss,
-        "1/A2",
-        [
-            error_line("scatter", scatter, "1/A2", found.independent),
-            error_line("time constant of the winding, path of friction", open_u, "1/A2"),
-        ],
-    )
+    hidden_u = abs(loss) if math.isinf(hidden_u) else hidden_u * found.best.warming()
+    lines = [
+        error_line("scatter", scatter, "1/A2", found.independent),
+        error_line("time constant of the winding, path of friction", open_u, "1/A2"),
+        error_line("ripple over rotor angles", hidden_u, "1/A2", hidden_dof),
+    ]
+    return combined(loss, "1/A2", lines)
 
 
 def _untried(best: Common, length: float, step: float) -> float:

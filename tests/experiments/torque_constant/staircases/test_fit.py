@@ -5,13 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy import linalg, stats
+from scipy import linalg
 
 from rigtool.experiments.torque_constant.staircases import fit as fitted
 from rigtool.experiments.torque_constant.staircases.fit import (
     _about,
     _bend,
-    _heat_loss,
     _lack_of_fit,
     _scatter,
     _solve,
@@ -96,43 +95,6 @@ def test_slopes_to_the_top_scatter_by_their_u():
     np.testing.assert_allclose(np.sqrt(np.mean(np.square(stated), axis=(0, 2))), scatter, rtol=0.08)
 
 
-def warmed(loss, common=0.0):
-    """Return a fit with a relative loss (M,) of its constants, and a common residual."""
-    own = np.column_stack([np.full(M, 0.05), -0.05 * np.asarray(loss), np.zeros(M)])
-    design = np.column_stack([CURRENT[0], CURRENT[0] ** 2, np.ones(P)])
-    return SimpleNamespace(own=own, residual=common * ONES, design=design)
-
-
-def angled(*angle):
-    return SimpleNamespace(rotor_angle=np.array(angle), weight=ONES)
-
-
-def test_heat_takes_what_the_mean_over_the_angles_shows():
-    each = np.array([0.01, 0.012, 0.014, 0.012])
-    loss, u, dof = _heat_loss(angled(*QUARTERS), warmed(each))
-    assert loss == pytest.approx(each.mean(), rel=1e-9)
-    # four angles show the first order: one degree of freedom is left
-    assert dof == 1
-    assert u > 0
-    # heat only takes: what it would add is uncertainty
-    loss, negative_u, _ = _heat_loss(angled(*QUARTERS), warmed(-each))
-    assert loss == 0
-    assert negative_u == pytest.approx(math.hypot(u, each.mean()), rel=1e-9)
-    loss, u, dof = _heat_loss(angled(1.0, 1.0, 1.0, 1.0), warmed(each))
-    assert (loss, u) == pytest.approx((each.mean(), each.mean()), rel=1e-9)
-    assert dof == math.inf
-
-
-def test_lack_of_fit_makes_the_loss_by_heat_uncertain():
-    wave = 1e-3 * np.cos(np.arange(P))
-    fit = warmed(np.full(M, 0.01), wave)
-    _, u, dof = _heat_loss(angled(*QUARTERS), fit)
-    independent = independent_samples(wave, np.ones(P, dtype=bool), 1)
-    covariance, expected_dof = long_run_covariance(fit.design, wave, independent)
-    assert u == pytest.approx(math.sqrt(covariance[1, 1]) / 0.05, rel=1e-9)
-    assert dof == expected_dof
-
-
 def test_lack_of_fit_is_what_scatter_and_rounding_do_not_explain():
     wave = 1e-3 * np.cos(np.arange(P))
     design = np.column_stack([CURRENT[0], np.ones(P)])
@@ -180,10 +142,3 @@ def test_the_coefficient_is_that_of_lines_over_temperature(rise, coefficient):
         torque=constant[:, None] * CURRENT + 0.01,
     )
     assert _about(stairs) == pytest.approx(coefficient, rel=1e-9)
-
-
-def test_the_mean_over_the_angles_is_that_of_student():
-    """Of few angles without order: repeats."""
-    each = np.array([0.01, 0.012, 0.014, 0.012])
-    _, u, dof = _heat_loss(angled(*[np.nan] * 4), warmed(each))
-    assert (u, dof) == pytest.approx((stats.sem(each), 3), rel=1e-9)

@@ -1,5 +1,6 @@
 """Loss of the torque constant by a current that lasts."""
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -33,7 +34,7 @@ def test_between_two_time_constants_a_loss_is_as_uncertain_as_their_distance(tim
     assert _untried(Common(None, 1.0, None, time_constant), HEATING_TIME, 0.4) == 0.0
 
 
-def loss_of(found, friction):
+def loss_of(found, friction, hidden=(0.0, math.inf)):
     """Return the loss by heat where friction is so large, and the staircase as long as a current
     whose loss is stated."""
     stairs = SimpleNamespace(begin=np.zeros((1, 2)), end=np.full((1, 2), HEATING_TIME))
@@ -44,7 +45,7 @@ def loss_of(found, friction):
         stairs=stairs,
         winding=SimpleNamespace(low=0.0, high=1.0),
     )
-    return loss_by_heat(SimpleNamespace(means=means, weighed=found))
+    return loss_by_heat(SimpleNamespace(means=means, weighed=found), *hidden)
 
 
 def test_what_friction_by_its_law_leaves_open_is_no_evidence():
@@ -69,3 +70,11 @@ def test_scatter_of_each_hypothesis_counts_beside_their_spread():
     assert scatter.contribution == pytest.approx(2e-8**0.5, rel=1e-9)
     assert scatter.dof == 40.0
     assert spread.contribution == pytest.approx(1e-3, rel=1e-9)
+
+
+def test_what_angles_hide_of_each_second_counts_for_as_long_as_heat_lasts():
+    found = loss_of(weighed_from([1e-3, 1e-3], [1e-10, 1e-10]), 0.0, (1e-5, 3.0))
+    warming = -BEST.time_constant * math.expm1(-HEATING_TIME / BEST.time_constant)
+    assert (found.u, found.dof) == pytest.approx((1e-5 * warming, 3.0), rel=1e-9)
+    unknown = loss_of(weighed_from([-1e-3, -1e-3], [1e-10, 1e-10]), 0.0, (math.inf, math.inf))
+    assert unknown.u == pytest.approx(1e-3, rel=1e-9)
