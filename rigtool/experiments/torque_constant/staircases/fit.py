@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigtool.experiments.torque_constant.staircases.angle_losses import heat_loss, hidden_loss
+from rigtool.experiments.torque_constant.staircases.friction_cone import begins_with
 from rigtool.experiments.torque_constant.staircases.gauge_rounding import (
     rounding_errors,
     spread_over_zeros,
@@ -125,8 +126,11 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     coefficient = _about(stairs)
     hypotheses = weigh_hypotheses(stairs, coefficient, trend)
     stairs, best = hypotheses.means.stairs, hypotheses.weighed.best
-    friction = hypotheses.means.friction_of_each(best)
-    given = stairs, best.time_constant, friction, coefficient, rise
+    given = stairs, best.time_constant, hypotheses.means.friction_of_each(best), coefficient, rise
+    if given[2]:  # friction of each begins with its own, which shows in the first solution
+        begins = _begins(stairs, _solve(*given).fit)
+        friction = hypotheses.means.friction_of_each(best, begins)
+        given = *given[:2], friction, coefficient, rise
     solution, steady = _solve(*given), _solve(*given, steady=True)
     hidden = hidden_loss(stairs, solution.warmed, _scatter(stairs, solution.warmed)[0])
     constant = hypotheses.constant
@@ -306,6 +310,12 @@ def _scatter(stairs: Stairs, fit: LeastSquares) -> tuple[float, int]:
         square = float(np.sum(fit.residual**2))
         free = max(float(stairs.weight.sum()) - fit.parameters, 1.0)
     return math.sqrt(square / free), int(free)
+
+
+def _begins(stairs: Stairs, fit: LeastSquares) -> Array:
+    """Return the friction with which each staircase begins, over the largest (m,)."""
+    u = _scatter(stairs, fit)[0] * np.linalg.norm(fit.inverse[:, 2], axis=1)
+    return begins_with(fit.own[:, 2], u, float(fit.shared[1]))
 
 
 def _rms(values: Array) -> float:

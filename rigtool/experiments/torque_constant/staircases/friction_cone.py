@@ -83,3 +83,16 @@ def positive(mean: Array, sigma: Array) -> tuple[Array, Array]:
     ratio = mean / sigma
     logarithm: Array = log_ndtr(ratio)
     return logarithm, sigma * np.exp(-(ratio**2) / 2 - logarithm) / math.sqrt(2 * math.pi)
+
+
+def begins_with(found: Array, u: Array, largest: float) -> Array:
+    """Return the friction with which each staircase begins, over the `largest` f, (m,).
+
+    `found` (m,) in N m is f z0 of each by least squares, with standard uncertainties `u` (m,). Each
+    is as far from the mean of all as what they scatter by beyond these makes likely (B. Efron,
+    C. Morris, J. Am. Stat. Assoc. 68, 117-130, 1973).
+    """
+    mean, square = float(np.mean(found)), float(np.var(found))
+    likely = max(1 - float(np.mean(u**2)) / max(square, TINY), 0.0)
+    begins: Array = np.clip((mean + likely * (found - mean)) / max(largest, TINY), -1.0, 1.0)
+    return begins

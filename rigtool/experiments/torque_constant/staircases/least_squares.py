@@ -21,15 +21,19 @@ class LeastSquares:
         self._shared, self._free = common, common - columns @ (self.inverse @ common)
         normal = np.einsum("mpc,mpd->cd", self._free, self._free)
         self._normal = np.linalg.pinv(normal, hermitian=True)
+        self.shared = self._coefficients(torque)  # (d,)
         self.own, rest = self.solve(torque)
         self.residual = rest - np.einsum("mpc,mc->mp", columns, self.own)
         self.parameters = self.own.size + common.shape[2]
 
     def solve(self, torque: Array) -> tuple[Array, Array]:
         """Return coefficients (m, c) of each staircase, and torques (m, p) less what is shared."""
-        shared = self._normal @ np.einsum("mpc,mp->c", self._free, torque)
-        rest = torque - self._shared @ shared
+        rest = torque - self._shared @ self._coefficients(torque)
         return np.einsum("mcp,mp->mc", self.inverse, rest), rest
+
+    def _coefficients(self, torque: Array) -> Array:
+        found: Array = self._normal @ np.einsum("mpc,mp->c", self._free, torque)
+        return found
 
     def response(self, weight: Array) -> Array:
         """Return what each torque (m, p) adds to the sum of slopes weighted by (m,)."""

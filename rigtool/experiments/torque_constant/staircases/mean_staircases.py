@@ -129,11 +129,12 @@ class MeanStaircases:
         a, b = self._friction(length, np.array([common.exponent]), [common.lag])
         return a[0, 0, 0], b[0, 0, 0]
 
-    def friction_of_each(self, common: Common) -> tuple[Array, ...]:
+    def friction_of_each(self, common: Common, begins: Array | None = None) -> tuple[Array, ...]:
         """Return columns of f and f z0 of each staircase (m, p), or nothing without friction.
 
-        It is that of the arm's motion under the torque of each. Ripple acts with a lag: what that
-        does to the turns of the arm is added.
+        It is that of the arm's motion under the torque of each, which begins with the friction
+        `begins` (m,) over f, or with that of the mean. Ripple acts with a lag: what that does to
+        the turns of the arm is added.
         """
         if common.transition is None:
             return ()
@@ -153,6 +154,7 @@ class MeanStaircases:
             if self.arm is not None:
                 contacts = self.contacts(common)
                 first, _ = one_sided(contacts.state[kind][:, :1], at_once[1], self.asymmetry)
+                first = first if begins is None else begins[:, None]
                 friction = at_once[0] + at_once[1] * first
                 contacts = replace(contacts, state=state_of(friction, self.asymmetry))
                 each = replace(courses, torque=torque, course=both[0], part=courses.part[kind])

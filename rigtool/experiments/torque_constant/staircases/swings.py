@@ -116,13 +116,13 @@ def mean_courses(
         )
         smooth.append(average)
         left.append(left_here)
-        score[those], rate, grown = _torque_changes(
+        score[those], rate, grown, begins = _torque_changes(
             setpoint[those][0], torque[those], temperature[those]
         )
         rates.append(rate)
         part = duration[those].mean(axis=0) / course.shape[2]
         swing_change[those], at_once[those] = _swing_changes(
-            grown, swing[those], average, torque[those].mean(axis=0), part, noise
+            grown, begins, swing[those], average, torque[those].mean(axis=0), part, noise
         )
     courses = mean(torque)
     return Courses(
@@ -142,10 +142,11 @@ def mean_courses(
 
 def _torque_changes(
     setpoint: Array, torque: Array, temperature: Array
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array]:
     """Return by how much (m, 3) equal staircases of torques (m, p) differ from their mean, what
     each of these changes does to the torque (3, p), and the relative changes (2, m, p) of what the
-    current adds with each step: with the `temperature` (m,), and with the angle.
+    current adds with each step: with the `temperature` (m,), and with the angle; and by how much
+    the torque differs with which each begins (m,), N m.
 
     The changes are by temperature, and by ripple in proportion to the set point (p,) and to its
     i |i|; where enough staircases show it, also what friction makes of them.
@@ -153,7 +154,7 @@ def _torque_changes(
     columns = np.stack([np.ones(len(setpoint)), setpoint, setpoint * np.abs(setpoint)])
     inverse = np.linalg.pinv(columns)
     off = torque - torque.mean(axis=0)
-    found = (off @ inverse)[:, 1:]
+    begins, found = np.split(off @ inverse, [1], axis=1)
     warm = temperature - temperature.mean()
     warm /= max(float(np.linalg.norm(warm)), TINY)
     ripple = found - np.outer(warm, warm @ found)
@@ -167,11 +168,17 @@ def _torque_changes(
     mean_steps = (torque.mean(axis=0) @ inverse)[1:] @ steps
     still = mean_steps == 0  # the first plateau, and those that lengthen a shorter staircase
     grown = np.stack([found - ripple, ripple]) @ steps / np.where(still, np.inf, mean_steps)
-    return score, rate, grown
+    return score, rate, grown, begins[:, 0]
 
 
 def _swing_changes(
-    grown: Array, swing: Array, average: Array, torque: Array, part: Array, noise: float
+    grown: Array,
+    begins: Array,
+    swing: Array,
+    average: Array,
+    torque: Array,
+    part: Array,
+    noise: float,
 ) -> tuple[Array, Array]:
     """Return by how much swings (m, p, c) differ from their `average` (p, c), without noise, and
     what that would be if ripple had no lag.
@@ -179,17 +186,20 @@ def _swing_changes(
     Swings grow as their steps do, `grown` (2, m, p): with the constant at once, but an amplifier's
     ripple may follow a step of the current with a lag: its course is the mean course behind a
     low-pass of first order, from the `torque` (p,) before, with `part` (p,) s between two values.
-    Lags are averaged over, each as probable as what it leaves. What else stands out of the noise in
-    proportion to the staircase is added.
+    Lags are averaged over, each as probable as what it leaves. The torque with which a staircase
+    `begins` (m,) is also that of its friction, which changes the first swings: what is in
+    proportion to it shows no lag. What else stands out of the noise in proportion to the staircase
+    is added.
     """
     with_constant, with_ripple = grown
     found: Array = with_constant[:, :, None] * average
     rippled = with_ripple[:, :, None] * average
     if len(swing) < FEWEST_FOR_RATE:
         return found + rippled, found + rippled
-    rest = swing - average - found
-    matched = np.einsum("mp,mpc->pc", with_ripple, rest)
-    power = np.sum(with_ripple**2, axis=0)[:, None]
+    begins = begins / max(float(np.linalg.norm(begins)), TINY)
+    rest, own = (_off(begins, each) for each in (swing - average - found, with_ripple))
+    matched = np.einsum("mp,mpc->pc", own, rest)
+    power = np.sum(own**2, axis=0)[:, None]
     lags = np.append(0.0, np.geomspace(np.max(part), LONGEST_RIPPLE_LAG * np.max(part), LAGS))
     lagged = np.stack([_behind(average, torque, lag / part) for lag in lags])
     square = float(np.sum(rest**2)) + np.sum(power * lagged**2 - 2 * matched * lagged, axis=(1, 2))
@@ -199,12 +209,19 @@ def _swing_changes(
     delayed = with_ripple[:, :, None] * course
     # Friction changes with the constant, too: what that does to swings is no lag of ripple.
     left: list[Array] = []
-    for size in grown.mean(axis=2):
+    for size in (grown[0].mean(axis=1), begins, grown[1].mean(axis=1)):
         root = max(float(np.linalg.norm(size)), TINY)
         rest = swing - average - found - delayed - sum(left)
         own = without_noise(np.tensordot(size / root, rest, 1), noise)[0]
         left.append((size / root)[:, None, None] * own)
-    return found + delayed + left[0] + left[1], found + rippled + left[0]
+    common = found + sum(left)  # what friction does to swings does not wait for the lag
+    return common + delayed, common + rippled
+
+
+def _off(unit: Array, values: Array) -> Array:
+    """Return values (m, ...) less what is in proportion to a vector (m,) of length 1."""
+    rest: Array = values - np.multiply.outer(unit, np.tensordot(unit, values, 1))
+    return rest
 
 
 def _behind(swing: Array, torque: Array, lag: Array) -> Array:

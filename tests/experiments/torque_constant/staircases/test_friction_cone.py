@@ -3,7 +3,11 @@
 import numpy as np
 import pytest
 
-from rigtool.experiments.torque_constant.staircases.friction_cone import positive, possible
+from rigtool.experiments.torque_constant.staircases.friction_cone import (
+    begins_with,
+    positive,
+    possible,
+)
 
 CASES = [
     ((1.0, 0.2), ((1.0, 0.3), (0.3, 0.5)), 9.0),
@@ -61,3 +65,15 @@ def test_what_is_far_below_zero_ends_just_above_it():
     logarithm, shift = positive(np.array(-1e3), np.array(1.0))
     assert -6e5 < logarithm < -4e5
     assert 0 < -1e3 + shift < 2e-3
+
+
+def test_what_scatters_is_no_friction_with_which_a_staircase_begins():
+    """By drawn values: the estimate is closer to what is true than what least squares find."""
+    rng = np.random.default_rng(3)
+    true, u = 0.2 + 0.05 * rng.standard_normal(4000), np.full(4000, 0.05)
+    found = begins_with(4e-3 * (true + u * rng.standard_normal(4000)), 4e-3 * u, 4e-3)
+    assert np.sqrt(np.mean((found - true) ** 2)) == pytest.approx(0.05 / np.sqrt(2), rel=0.05)
+    alone = begins_with(np.array([1e-3, 1.1e-3, 0.9e-3]), np.full(3, 1e-3), 4e-3)
+    np.testing.assert_allclose(alone, 0.25)
+    exact = begins_with(np.array([-9e-3, 1e-3, 9e-3]), np.zeros(3), 4e-3)
+    np.testing.assert_allclose(exact, [-1.0, 0.25, 1.0])

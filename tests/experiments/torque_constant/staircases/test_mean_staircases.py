@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from rigtool.experiments.torque_constant.staircases.arm_motion import Arm, Contacts
+from rigtool.experiments.torque_constant.staircases.fit import fit_staircases
 from rigtool.experiments.torque_constant.staircases.hypotheses import weigh_hypotheses
 from rigtool.experiments.torque_constant.staircases.mean_staircases import ASYMMETRY, MeanStaircases
 from rigtool.experiments.torque_constant.staircases.model import Common, arrange, winding
@@ -166,17 +167,61 @@ def test_friction_of_each_staircase_follows_its_own_torque(swinging_arm, monkeyp
     """Turns count only above the noise of a course; the arm's motion has the smaller ones, too."""
     means, law, contacts = swinging_arm
     courses = replace(means.stairs.courses, noise=np.array([1e-4]))
-    means.stairs.courses = courses
+    monkeypatch.setattr(means.stairs, "courses", courses)
     mean = replace(contacts, state=contacts.state.mean(axis=0, keepdims=True))
     monkeypatch.setattr(means, "contacts", lambda common: mean)
     by_arm = means.friction_of_each(law)[0]
-    means.arm = None
+    monkeypatch.setattr(means, "arm", None)
     by_turns = means.friction_of_each(law)[0]
     off, rough = (np.abs(-each - contacts.state)[:, 1:].max() for each in (by_arm, by_turns))
     assert off < 3e-3
     assert rough > 2 * off
     assert np.ptp(contacts.state[:, 1:], axis=0).max() > 8e-3
     assert means.friction_of_each(replace(law, transition=None)) == ()
+
+
+def test_friction_of_each_staircase_begins_with_its_own(swinging_arm, monkeypatch):
+    """Against motions that begin with it; that of the mean changes the way, too."""
+    means, law, contacts = swinging_arm
+    courses, begins = means.stairs.courses, np.array([-0.4, 0.1, 0.5, -0.2])
+    monkeypatch.setattr(
+        means,
+        "contacts",
+        lambda common: replace(contacts, state=contacts.state.mean(axis=0, keepdims=True)),
+    )
+    torque, course, _ = courses.of_each()
+    each = replace(courses, torque=torque, course=course, part=courses.part[[0] * 4])
+    arms = replace(means.arm, steps=40)
+    own = contacts
+    for _ in range(20):
+        own = replace(own, state=np.column_stack([begins, own.state[:, 1:]]))
+        a, b = arms.friction_state(each, own)
+        own = replace(own, state=a + b * begins[:, None])
+
+    def off(*known) -> float:
+        a, b = means.friction_of_each(law, *known)
+        return float(np.abs(-a - b * begins[:, None] - own.state)[:, 1:].max())
+
+    assert off(begins) < 5e-3
+    assert off() > 3 * off(begins)
+
+
+def test_each_staircase_is_fitted_with_the_friction_with_which_it_begins(monkeypatch):
+    """Cogging of order 2 winds each arm before its staircase: friction opposes that."""
+    asked, of_each = [], MeanStaircases.friction_of_each
+
+    def spied(means, common, *begins):
+        asked.append(begins)
+        return of_each(means, common, *begins)
+
+    monkeypatch.setattr(MeanStaircases, "friction_of_each", spied)
+    bench = Bench(friction=4e-3, force_noise=1e-4, cogging=5e-3)
+    signals = bench.record((20,), angles=8)
+    plateaus = plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08)
+    zero = fit_staircases(plateaus).zero
+    (begins,) = asked[-1]
+    assert np.ptp(begins) > 0.2
+    assert abs(np.corrcoef(begins, zero)[0, 1]) > 0.9
 
 
 @pytest.mark.parametrize("asymmetry", [-0.15, 0.0, 0.15])

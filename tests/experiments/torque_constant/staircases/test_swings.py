@@ -165,7 +165,8 @@ def test_staircases_differ_by_temperature_and_by_ripple_that_bends_them(count):
     ripple, bend = 1e-3 * rng.standard_normal((2, count))
     constant = 0.05 * (1 - 1e-3 * (degc - degc.mean())) + ripple
     torque = constant[:, None] * setpoint + bend[:, None] * setpoint * np.abs(setpoint)
-    score, rate, grown = _torque_changes(setpoint, torque, degc)
+    score, rate, grown, begins = _torque_changes(setpoint, torque, degc)
+    assert_allclose(begins, 0, atol=1e-12)
     assert_allclose(torque.mean(axis=0) + score @ rate, torque, atol=1e-12)
     warm = (degc - degc.mean()) / np.linalg.norm(degc - degc.mean())
     assert_allclose(score[:, 0], warm, rtol=1e-12)
@@ -216,6 +217,28 @@ def test_swings_follow_the_constant_at_once_and_ripple_with_its_lag(lag):
     assert np.sqrt(np.mean(error**2)) < 0.02 / 4  # the mean has the noise of 16, or less
     response = np.tensordot(RIPPLE, error, 1) / np.sum(RIPPLE**2)
     assert np.abs(response).max() < 0.12
+
+
+def test_swings_by_the_torque_with_which_a_staircase_begins_are_no_lag_of_ripple():
+    """That torque, and the friction before the first step, may be in phase with the ripple."""
+    rng = np.random.default_rng(9)
+    setpoint = np.array([0.0, 1.0, 2.0, 3.0, 2.0, 1.0, 0.0])
+    time = np.arange(1, PARTS + 1) / PARTS
+    swing = -np.exp(-12 * time) * np.cos(2 * np.pi * 6 * time)
+    begins = RIPPLE + 0.01 * rng.standard_normal(16)
+    begins -= begins.mean()
+    torque = (1 + RIPPLE)[:, None] * setpoint
+    step = np.diff(torque, axis=1, prepend=torque[:, :1])[:, :, None]
+    course = begins[:, None, None] + torque[:, :, None] + step * swing
+    rubbed = np.exp(-8 * time) * np.cos(2 * np.pi * 6 * time)
+    course[:, 1:3] += begins[:, None, None] * rubbed
+    every = np.tile(setpoint, (16, 1)), begins[:, None] + torque
+    noisy = course + 1e-4 * rng.standard_normal(course.shape)
+    found = mean_courses(*every, noisy, np.ones(torque.shape), np.full(16, 20.0), noise=1e-4)
+    own_torque, own_course, without_lag = found.of_each()
+    swings = course - (begins[:, None] + torque)[:, :, None]
+    assert_allclose(own_course - own_torque[:, :, None], swings, atol=1e-3)
+    assert_allclose(without_lag, own_course, atol=1e-3)
 
 
 def test_what_else_goes_with_the_temperature_is_no_lag_of_ripple():
