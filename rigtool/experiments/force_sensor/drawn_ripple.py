@@ -36,7 +36,7 @@ from rigtool.numerics.arrays import Array
 FOLLOWED = 6
 """Number of orders that are followed: the work of a row grows with the square of their number."""
 
-FADES, SIZES = (0.0, 1.0, 2.0), 2.0 ** np.arange(4)
+FADES, SIZES = (0.0, 1.0, 2.0, 3.0), 2.0 ** np.arange(4)
 """Priors of the waves: their spread falls as order^-fade; root of the sum of their variances, in
 parts of the larger one of ripple and cogging in the learned priors."""
 

@@ -14,7 +14,7 @@ from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.experiments.force_sensor.drawn_ripple import FADES, SIZES, learned_ripple
 
 FIRST = len(SLIDING_PARAMETERS)
-NOISE, LEVEL, COUNT = 0.02e-3, 1e-3, 40
+NOISE, LEVEL, COUNT = 0.02e-3, 0.3e-3, 40
 SHAPE = Shape(2e-3, 8e-3, 5e-3, 0.3, 0.05, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3)
 
 
