@@ -116,11 +116,18 @@ def _message(item: ErrorDetails, model: type[BaseModel]) -> str:
 def _meaning(model: type[BaseModel], place: Sequence[int | str]) -> str:
     """Return in brackets what a key means, and its unit; nothing for a table or an unknown key."""
     last = max((index for index, part in enumerate(place) if isinstance(part, str)), default=0)
-    for table in _tables_at(model, place[:last]):
+    tables = _tables_at(model, place[:last])
+    own = [table for table in tables if last and _is_of_kind(table, place[last - 1])]
+    for table in own or tables:
         field = table.model_fields.get(str(place[last])) if place else None
         if field is not None and field.description:
             return f" ({field.description})"
     return ""
+
+
+def _is_of_kind(table: type[BaseModel], tag: int | str) -> bool:
+    """Return whether a table's errors have this tag, the value of its key that states its kind."""
+    return any(tag in get_args(field.annotation) for field in table.model_fields.values())
 
 
 def keys_at(model: type[BaseModel], place: Sequence[int | str]) -> Iterator[str]:

@@ -66,7 +66,7 @@ def test_without_contacts_nothing_touches():
         ('kind = "pulse"\nat = [-1]\nforce = 1', "at least 0"),
         ('kind = "mass"\nat = [1]\nforce = -1', "above 0"),
         ('kind = "sine"\nat = [1]\nforce = 1\nfrequency_hz = 900', "a tenth of the loop's"),
-        ('kind = "ramp"\nat = [1]\nforce = 1', "is missing"),
+        ('kind = "ramp"\nat = [1]\nforce = 1', "is missing; add it (of the rise, s)"),
         ('kind = "tissue"\nat = [1]\nangle_deg = 10\nstiffness = 0', "above 0"),
         ('kind = "tissue"\nat = [1]\nangle_deg = 10\nstiffness = 1\ncolour = 1', "not a key"),
     ],

@@ -131,6 +131,7 @@ struct rs_model {
     rs_real row_noise, row_walk[2], row_reversal, row_contact, row_untouched, row_kept;
     rs_real row_begins, row_ends, row_changes, row_least, row_evidence, row_certain, row_largest;
     rs_real row_recognised, row_lasts, row_lasting, row_drift, row_least_lasts, row_same;
+    rs_real row_beforehand;
     /* states */
     rs_real sliding, slow, crawling, speed_limit, torque_limit;
     rs_real current_limit, largest_current, cold, warm, farthest;
@@ -200,8 +201,9 @@ struct rigtool_sensor {
     rs_real waves[RS_WAVES + 1], row[RS_PARTS], ripple_q[RS_ORDER];
     struct rs_hypothesis hypotheses[2]; /* near the learned ripple, and another one */
     rs_real other, proven; /* logarithm of the second's likelihood over the first's; what stays */
-    /* of all: both weights, the rest is the learned ripple's; mean of the ripple, and variance */
-    rs_real weights[2], ripples[RS_WAVES], ripple_spread, unfollowed[1 + RS_POWERS];
+    /* of all: both weights, the rest is the learned ripple's, and what they count in the variance;
+     * mean of the ripple, and variance */
+    rs_real weights[2], counts[2], ripples[RS_WAVES], ripple_spread, unfollowed[1 + RS_POWERS];
     rs_real level[2], level_variance[2], fast; /* then: by a slow, a fast walk; probability of that */
     int row_length, row_drawn, row_steps, row_slid;
     int doubted; /* the wave whose doubt grows next */
@@ -1061,6 +1063,11 @@ static inline void rs_mix(struct rigtool_sensor *s)
     other = RS_MATH(exp)(s->other);
     s->weights[0] = near / (same + near + other);
     s->weights[1] = other / (same + near + other);
+    s->counts[0] = s->weights[0];
+    s->counts[1] = rs_square(s->weights[1] / m->row_beforehand);
+    s->counts[1] = s->counts[1] > 1 ? 1 : s->counts[1];
+    if (s->counts[1] < s->weights[1])
+        s->counts[1] = s->weights[1];
     for (j = 0; j < RS_WAVES; j++)
         s->ripples[j] = s->weights[0] * rs_expected(&s->hypotheses[0], j)
             + s->weights[1] * rs_expected(&s->hypotheses[1], j);
@@ -1258,7 +1265,7 @@ static inline rs_real rs_ripple_spread(const struct rigtool_sensor *s, rs_real m
             shift += seen * h->known.shift[j + 1];
         }
         spread += rs_square(shift) * lasts * (h->known.lasting[1] + (1 - lasts) * lasting * lasting);
-        total += s->weights[k] * (spread + rs_square(own + lasts * lasting * shift - mean));
+        total += s->counts[k] * (spread + rs_square(own + lasts * lasting * shift - mean));
     }
     return rs_square(rs_model.torque_factor) * total;
 }
@@ -1284,7 +1291,7 @@ static inline rs_real rs_rippled(struct rigtool_sensor *s, rs_real *variance)
     s->taken = taken;
     if (s->row_steps % RS_SPREAD_STEPS == 0) /* waves hardly change within that */
         s->ripple_spread = rs_ripple_spread(s, mean);
-    *variance = s->ripple_spread + s->weights[1] * rs_unfollowed(s);
+    *variance = s->ripple_spread + s->counts[1] * rs_unfollowed(s);
     left = m->torque_factor * (mean - s->shown[RS_WAVES].seen);
     ripple = c[RS_ORDER] * left;
     for (i = 0; i < RS_ORDER; i++) {

@@ -227,6 +227,7 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
         "row_drift": (lasting_contact.DRIFT * size) ** 2 * row_time,
         "row_least_lasts": lasting_contact.LEAST_LASTS,
         "row_same": ripple_rows.SAME,
+        "row_beforehand": ripple_rows.BEFOREHAND,
     }
 
 

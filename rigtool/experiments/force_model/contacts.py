@@ -230,15 +230,16 @@ def events(
     A row of the torque is `every` steps or `row_time` s. The fall of a contact may be found as
     another one, which begins with its end: within `JUMP_WINDOW` it shows none. The filter without
     contacts remembers one for `LEVEL_MEMORY`. What it finds there is another one only where `SURE`
-    times `half` does not hold zero, and begins where something let go last before.
+    times `half` does not hold zero, and begins where something let go last before. A contact's end
+    is found late, by the lag of the filter without contacts: it ends where this torque falls.
     """
     nothing, sure = np.abs(torque) <= half, np.abs(torque) > SURE * half
-    joined, stop, memory = list[Contact](), 0, 0
+    joined, stop, memory, last = list[Contact](), 0, 0, -1
     for contact in found:
         own = contact.rows(every)
         remembered = own.start < memory
         memory = own.stop + round(LEVEL_MEMORY / row_time)
-        falls = bool(joined) and contact.begin <= joined[-1].end
+        falls = contact.begin <= last
         first = own.start + (round(JUMP_WINDOW / row_time) if falls else 0)
         if not (sure if remembered else ~nothing)[first : own.stop].any():
             continue
@@ -247,12 +248,26 @@ def events(
             begin = (own.start + _let_go(nothing[own.start : surely], row_time)) * every
             if begin > contact.begin:
                 contact = replace(contact, begin=begin, found=max(begin, contact.found))
+        last = contact.end
+        contact = replace(contact, end=_ended(contact, torque, every, row_time))
         if joined and not _let_go(nothing[stop : contact.rows(every).start], row_time):
             joined[-1] = replace(joined[-1], end=contact.end)
         else:
             joined.append(contact)
         stop = own.stop
     return joined
+
+
+def _ended(contact: Contact, torque: Array, every: int, row_time: float) -> int:
+    """Return the step at which a torque falls below half of its mean since the contact was found:
+    by `JUMP_WINDOW` earlier than found at most."""
+    first, end = contact.found // every, contact.rows(every).stop - 1
+    own = torque[first : end + 1] * np.sign(torque[first : end + 1].sum())
+    above = own >= own.mean() / 2
+    late = int(above[::-1].argmax()) if above.any() else 0
+    if not late or late * row_time > JUMP_WINDOW:
+        return contact.end
+    return (end - late + 1) * every
 
 
 def _let_go(nothing: Mask, row_time: float) -> int:

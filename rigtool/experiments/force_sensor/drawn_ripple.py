@@ -11,25 +11,34 @@ in the mean over phases, behind the lag tau at the rotor's speed b'. The current
 and inertia besides M. Load friction looks like the low orders of g: the square of what was learned
 holds the square of its errors already.
 
-What is followed may be larger than it was learned: along a part of a turn waves look alike, and
-like the housing's friction. So its A^2 is |c|^2 and the variance of c, of which the prior has the
-size that the recordings show (`Problem.size_waves`).
+What is followed may be larger than it was learned: along a part of a turn waves look alike, like
+the housing's friction, and those of low orders like a constant. Learning sizes all orders at once
+(`Problem.size_waves`), and along such a part the high ones alone are determined. So ripple and
+cogging are those of `sized_waves`, and A^2 is |c|^2 and the variance of c. What of c was learned
+as other terms acts at the learned power-up as well: c is the mean of what acted.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.model import ROTOR_ORDERS, Kind
-from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
+from rigtool.experiments.force_model.learning import LearnedModel
+from rigtool.experiments.force_model.model import ROTOR_ORDERS, Kind, Term
+from rigtool.experiments.force_model.sliding_problem import SIZED, SLIDING_PARAMETERS
 from rigtool.numerics.arrays import Array
 
 FOLLOWED = 6
 """Number of orders that are followed: the work of a row grows with the square of their number."""
+
+FADES, SIZES = (0.0, 1.0, 2.0, 3.0), 2.0 ** np.arange(4)
+"""Priors of the waves: their spread falls as order^-fade; root of the sum of their variances, in
+parts of the larger one of ripple and cogging in the learned priors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,31 +56,82 @@ class LearnedRipple:
 
 def learned_ripple(model: ForceModel) -> LearnedRipple:
     """Return the ripple of a learned model."""
-    learned, first = model.learned, len(SLIDING_PARAMETERS)
-    covariance = learned.covariance[first:, first:]
-
-    def waves(*kinds: Kind) -> Array:
-        sums = np.zeros((2 * len(ROTOR_ORDERS), len(learned.terms)))
-        for number, term in enumerate(learned.terms):
-            if term.kind in kinds and term.order in ROTOR_ORDERS:
-                sums[2 * (term.order - 1) + term.quarter, number] = 1.0
-        return sums
+    learned = model.learned
 
     def squares(one: Array, other: Array) -> Array:
         found = (one @ learned.coefficient) * (other @ learned.coefficient)
         return found.reshape(-1, 2).sum(axis=1)
 
-    still = waves(Kind.RIPPLE, Kind.COGGING)
-    gain, bent = waves(Kind.GAIN_RIPPLE), waves(Kind.SQUARE_RIPPLE)
-    doubt = np.sum(still @ covariance * still, axis=1).reshape(-1, 2).sum(axis=1)
+    still = _sums(learned, *SIZED)
+    mean, variance = sized_waves(learned)
+    gain, bent = _sums(learned, Kind.GAIN_RIPPLE), _sums(learned, Kind.SQUARE_RIPPLE)
+    drawn = (mean**2 + variance).reshape(-1, 2).sum(axis=1) / 2
     other = squares(still, still)
-    drawn = (other + doubt) / 2
     strongest = np.sort(np.argsort(-drawn, kind="stable")[:FOLLOWED])
     other[strongest] = 0.0
     growing = squares(gain, gain), 2 * squares(gain, bent), squares(bent, bent)
     return LearnedRipple(
         strongest + ROTOR_ORDERS[0],
-        (still @ learned.coefficient).reshape(-1, 2)[strongest].ravel(),
+        mean.reshape(-1, 2)[strongest].ravel(),
         np.repeat(drawn[strongest], 2),
         np.column_stack([other, *growing]),
     )
+
+
+def _sums(learned: LearnedModel, *kinds: Kind) -> Array:
+    """Return what sums the terms of some kinds to cosine and sine of each order (28, t)."""
+    sums = np.zeros((2 * len(ROTOR_ORDERS), len(learned.terms)))
+    for number, term in enumerate(learned.terms):
+        if term.kind in kinds and term.order in ROTOR_ORDERS:
+            sums[2 * (term.order - 1) + term.quarter, number] = 1.0
+    return sums
+
+
+def sized_waves(learned: LearnedModel) -> tuple[Array, Array]:
+    """Return mean and variance of ripple and cogging together, cosine and sine of each order (28,),
+    N m and N2 m2, over the priors (`_priors`).
+
+    Learned were c with covariance P under a prior of variances S. Under S' they are, with
+    D = 1 / S' - 1 / S, and Z the probability of what was recorded,
+
+        c' = (1 + P D)^-1 c,   P' = (1 + P D)^-1 P,
+        Z' / Z = (|S| / (|S'| |1 + P D|))^(1/2) exp(-c D c' / 2)
+
+    (products of normal densities). Z' weighs the priors, which are alike beforehand (D. J. C.
+    MacKay, Neural Computation 4(3) 415-447, 1992).
+    """
+    used = np.array([term.kind in SIZED and term.spread > 0 for term in learned.terms])
+    if not used.any():
+        return np.zeros(2 * len(ROTOR_ORDERS)), np.zeros(2 * len(ROTOR_ORDERS))
+    terms = [term for term, one in zip(learned.terms, used, strict=True) if one]
+    spread, first = np.array([term.spread for term in terms]), len(SLIDING_PARAMETERS)
+    c, p = learned.coefficient[used] / spread, learned.covariance[first:, first:][used][:, used]
+    shown, basis = np.linalg.eigh(p / np.outer(spread, spread))
+    p = (basis * np.clip(shown, 0.0, 1.0)) @ basis.T  # nothing learned is less sure than before
+    scaled = _sums(learned, *SIZED)[:, used] * spread
+    ratio = _priors(terms) / spread
+    d = ratio**-2 - 1
+    left = np.eye(len(terms)) + p * d[:, None, :]
+    right = np.column_stack([c, p @ scaled.T])
+    solved = np.linalg.solve(left, np.broadcast_to(right, (len(d), *right.shape)))
+    evidence = -np.log(ratio).sum(axis=1) - np.linalg.slogdet(left)[1] / 2
+    evidence -= np.sum(c * d * solved[:, :, 0], axis=1) / 2
+    weights = np.exp(evidence - evidence.max())
+    weights /= weights.sum()
+    means = solved[:, :, 0] @ scaled.T
+    variances = np.einsum("nt,ktn->kn", scaled, solved[:, :, 1:])
+    mean: Array = weights @ means
+    variance: Array = weights @ (variances + (means - mean) ** 2)
+    return mean, variance
+
+
+def _priors(terms: Sequence[Term]) -> Array:
+    """Return the spreads (k, t) of ripple and cogging in every prior, N m."""
+    spread, order = (np.array([getattr(t, name) for t in terms]) for name in ("spread", "order"))
+    ripple = np.array([term.kind is Kind.RIPPLE for term in terms])
+    still = np.where(ripple, 0.0, spread)
+    shapes = [np.where(ripple, (1.0 * order) ** -fade, 0.0) for fade in FADES]
+    own = [[shape / (np.linalg.norm(shape) or 1.0) for shape in kind] for kind in (shapes, [still])]
+    sizes = SIZES * max(np.linalg.norm(spread[ripple]), np.linalg.norm(still))
+    each = product(*(product(sizes, kind) for kind in own))
+    return np.array([one * first + other * second for (one, first), (other, second) in each])

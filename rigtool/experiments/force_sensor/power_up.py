@@ -124,6 +124,11 @@ class PowerUp:
         return self._state["weights"][0, 1]
 
     @property
+    def counted(self) -> float:
+        """What of the variance of another power-up counts, 0 to 1."""
+        return self._state["counts"][0, 1]
+
+    @property
     def steps_ahead(self) -> int:
         """Number of steps until what is taken off the drive torque is renewed, one at least."""
         return self._held_steps - int(self._state["held_steps"][0])
@@ -259,7 +264,7 @@ def _follow(
             size, u = abs(drive[k, 1]), s.unfollowed
             growing = u[1] + size * (u[2] + size * u[3])
             unfollowed = p.factor**2 * (u[0] + drive[k, 0] ** 2 * growing)
-        found[0, k], found[1, k] = mean, s.spread + s.weights[1] * unfollowed
+        found[0, k], found[1, k] = mean, s.spread + s.counts[1] * unfollowed
         found[2, k], found[3, k] = less, unfollowed
         if sliding.shape[0]:
             left, (first, second) = mean - p.factor * s.seen[WAVE_COUNT], s.passed

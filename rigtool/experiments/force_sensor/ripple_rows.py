@@ -69,6 +69,9 @@ may be taken for ripple, and rows are not as independent as the equations have i
 MAX_LOG_RATIO = 50.0
 """Largest logarithm of both likelihoods' ratio: no weight is closer to 0 or 1."""
 
+BEFOREHAND = 0.5
+"""Probability of another power-up before anything is seen."""
+
 CHANGED, SAME = 0.5, 0.5
 """Where the ripple is near the learned one: what it has changed by, in deviations of what a
 power-up draws, and the probability, before anything is seen, that it has not changed at all. With
@@ -133,9 +136,10 @@ STATE = np.dtype(
         ("lasts", "f8", (2,)),
         ("other", "f8"),  # logarithm of the likelihoods' ratio
         ("proven", "f8"),  # what of it stays where both hypotheses see a contact
-        # of all hypotheses: weights of these two, mean and covariance (its lower part) of the
-        # ripple, and the variance on the output that holds now
+        # of all hypotheses: weights of these two, what they count in the variance; mean and
+        # covariance (its lower part) of the ripple, and the variance on the output that holds now
         ("weights", "f8", (2,)),
+        ("counts", "f8", (2,)),
         ("known", "f8", (WAVE_COUNT,)),
         ("doubt", "f8", (WAVE_COUNT, WAVE_COUNT)),
         ("spread", "f8"),
@@ -237,7 +241,12 @@ def _same(s: Record) -> float:
 
 @compiled_allocating
 def mix(s: Record) -> None:
-    """Put the hypotheses together: weights, mean and covariance of the ripple."""
+    """Put the hypotheses together: weights, mean and covariance of the ripple.
+
+    Of two normal densities, one far wider, intervals are wider than their variance has it. So
+    another power-up counts wholly in the variance unless it is less likely than beforehand; then
+    by the square of the ratio, but by its probability at least.
+    """
     limited = min(max(ROW_EVIDENCE * _same(s), -MAX_LOG_RATIO), MAX_LOG_RATIO)
     same, near, other = SAME * math.exp(limited), 1.0 - SAME, math.exp(s.other)
     total = same + near + other
@@ -248,6 +257,8 @@ def mix(s: Record) -> None:
         for i in range(WAVE_COUNT):
             own[h, i] = s.mean[h, i] + s.lasts[h] * s.lasting[h, 0] * s.shift[h, i]
             s.known[i] += s.weights[h] * own[h, i]
+    counts = min((s.weights[1] / BEFOREHAND) ** 2, 1.0)
+    s.counts[0], s.counts[1] = s.weights[0], max(counts, s.weights[1])
     for i in range(WAVE_COUNT):
         for j in range(i + 1):
             s.doubt[i, j] = same * s.known[i] * s.known[j]
@@ -256,7 +267,7 @@ def mix(s: Record) -> None:
                 variance = s.lasts[h] * (variance + (1.0 - s.lasts[h]) * lasting**2)
                 apart = (own[h, i] - s.known[i]) * (own[h, j] - s.known[j])
                 apart += s.covariance[h, i, j] + variance * s.shift[h, i] * s.shift[h, j]
-                s.doubt[i, j] += s.weights[h] * apart
+                s.doubt[i, j] += s.counts[h] * apart
 
 
 @compiled

@@ -295,7 +295,7 @@ class Stretch:
         ahead *= self._sensor.last_deviation
         deviation[-len(ahead) :] = np.hypot(deviation[-len(ahead) :], ahead)
         kinds = self._taken("kinds")[::every]
-        unfollowed = self._sensor.power_up.probability * self._taken("unfollowed")
+        unfollowed = self._sensor.power_up.counted * self._taken("unfollowed")
         variance = np.concatenate(variances) + unfollowed
         swing, held = self._taken("swing"), self._taken("held")[::every]
         variance += TAKEN_VARIANCE * swing

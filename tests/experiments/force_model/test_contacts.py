@@ -212,6 +212,21 @@ def test_what_may_be_nothing_for_long_is_touched_by_nobody():
     assert events(found, rows, half, EVERY, 5e-3) == [found[0], found[2]]
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize(("late", "end"), [(0, 300), (25, 300), (60, 300), (65, 360)])
+def test_a_contact_ends_where_the_torque_of_the_whole_recording_falls(side, late, end):
+    """The filter without contacts shows it later, by less than a jump's time."""
+    rows = np.zeros(200)
+    rows[20:60], rows[60:] = 20e-3, 8e-3
+    found = [Contact(100, 110, 295 + late)]
+    half = np.full(len(rows), HALF)
+    (own,) = events(found, side * rows, half, EVERY, 5e-3)
+    assert own == Contact(100, 110, end if late else 295)
+    rows[60:] = 12e-3  # not below half of the mean: what the filter shows counts
+    (own,) = events(found, side * rows, half, EVERY, 5e-3)
+    assert own == found[0]
+
+
 def test_the_fall_of_a_contact_is_no_contact():
     """It begins with the end of the contact, and soon shows nothing."""
     rows = np.zeros(200)

@@ -10,7 +10,7 @@ from scipy.signal import butter, lfilter
 from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, STATES, TORQUE
 from rigtool.experiments.force_model.model import ROTOR_ORDERS, Kind, Term
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
-from rigtool.experiments.force_sensor.drawn_ripple import FOLLOWED, learned_ripple
+from rigtool.experiments.force_sensor.drawn_ripple import FOLLOWED, learned_ripple, sized_waves
 from rigtool.experiments.force_sensor.lasting_contact import LASTING, LASTS
 from rigtool.experiments.force_sensor.power_up import PowerUp
 from rigtool.experiments.force_sensor.ripple_rows import (
@@ -30,11 +30,11 @@ TERMS = [*LEARNED.terms, Term(Kind.SQUARE_RIPPLE, 1e-3, 2, 0), Term(Kind.COGGING
 COEFFICIENT = np.append(LEARNED.coefficient, [5e-3, 4e-4])
 
 
-def covaried(seed=2):
+def covaried(seed=2, deviation=1e-4):
     """Return the model of the tests with a covariance between its terms, which are more."""
     rng = np.random.default_rng(seed)
     size = FIRST + len(TERMS)
-    root = 1e-4 * rng.standard_normal((size, size))
+    root = deviation * rng.standard_normal((size, size))
     given = {"terms": TERMS, "coefficient": COEFFICIENT, "covariance": root @ root.T}
     learned = type(LEARNED)(**{**vars(LEARNED), **given})
 
@@ -46,7 +46,7 @@ def covaried(seed=2):
 
 
 def test_the_learned_ripple_is_that_of_its_orders():
-    own = learned_ripple(covaried())
+    own = learned_ripple(covaried(deviation=0.0))
     expected = np.zeros((len(ROTOR_ORDERS) + 1, 2))
     for term, value in zip(TERMS, COEFFICIENT, strict=True):
         if term.kind in (Kind.RIPPLE, Kind.COGGING):
@@ -74,24 +74,24 @@ def test_the_strongest_orders_are_followed_and_what_is_left_is_in_the_variance()
 
 def test_another_power_up_has_the_amplitude_of_each_order_and_the_doubt_of_still_ones():
     model = covaried()
-    own = learned_ripple(model)
-    covariance = model.learned.covariance[FIRST:, FIRST:]
+    own, (mean, variance) = learned_ripple(model), sized_waves(model.learned)
     terms, values = TERMS, COEFFICIENT
 
-    def square(kinds, order, others=None, share=0.0):
+    def square(kinds, order, others=None):
         total = 0.0
         for quarter in (0, 1):
             one, other = (
                 np.array([t.kind in k and (t.order, t.quarter) == (order, quarter) for t in terms])
                 for k in (kinds, others or kinds)
             )
-            doubt = one @ covariance @ other
-            total += (one @ values) * (other @ values) + share * doubt
+            total += (one @ values) * (other @ values)
         return total
 
     still, gain, bent = (Kind.RIPPLE, Kind.COGGING), (Kind.GAIN_RIPPLE,), (Kind.SQUARE_RIPPLE,)
     for place, order in enumerate(own.orders):
-        expected = square(still, order, share=1.0) / 2
+        own_waves = slice(2 * order - 2, 2 * order)
+        assert_allclose(own.coefficient[2 * place : 2 * place + 2], mean[own_waves])
+        expected = (mean**2 + variance)[own_waves].sum() / 2
         assert_allclose(own.drawn[2 * place : 2 * place + 2], expected)
     for order in ROTOR_ORDERS:
         # |g + h |i||^2 = g g + 2 g h |i| + h h i^2
@@ -153,12 +153,23 @@ def test_it_is_followed_from_the_learned_power_up_on(step_time):
     assert found.probability == 0.5
 
 
-@pytest.mark.parametrize(("odds", "expected"), [(0.0, 0.5), (math.log(3), 0.75), (-40.0, 0.0)])
-def test_its_probability_is_that_of_its_odds(odds, expected):
+def test_before_a_row_the_doubt_holds_all_that_another_power_up_may_draw():
     own = PowerUp(Model(), 1e-3, 10.0)
-    own._state["other"] = odds
+    s, drawn = own._state[0], learned_ripple(Model()).drawn
+    assert np.all(np.diag(s["doubt"]) >= drawn)
+    assert own.counted == 1
+
+
+@pytest.mark.parametrize(
+    ("odds", "expected", "counted"),
+    [(1, 0.5, 1), (3, 0.75, 1), (2 / 3, 0.4, 0.64), (1 / 9, 0.1, 0.1), (1e-40, 0.0, 0.0)],
+)
+def test_its_probability_is_that_of_its_odds(odds, expected, counted):
+    own = PowerUp(Model(), 1e-3, 10.0)
+    own._state["other"] = math.log(odds)
     mix(own._state[0])
     assert own.probability == pytest.approx(expected, abs=1e-12)
+    assert own.counted == pytest.approx(counted, abs=1e-12)
 
 
 def test_it_slides_where_the_long_bristle_is_bent_in_the_direction_of_motion(monkeypatch):
@@ -187,7 +198,7 @@ def test_each_step_gives_mean_and_variance_of_what_is_known():
     root = 1e-3 * rng.standard_normal((count, count))
     covariance = root @ root.T
     s["doubt"], s["length"] = np.tril(covariance), 100.0  # no row is full
-    s["known"], s["weights"] = 1e-3 * rng.standard_normal(count), (0.3, 0.6)
+    s["known"], s["counts"] = 1e-3 * rng.standard_normal(count), (0.3, 0.6)
     s["waves"][:-1] = before = rng.uniform(-1, 1, count)
     size, factor = 3 * SPREAD_STEPS, PLANT.torque_factor
     taken = 1e-3 * rng.standard_normal(size)

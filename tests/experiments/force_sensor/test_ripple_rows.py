@@ -153,9 +153,13 @@ def together(found):
             (weights[h] * lasts[h, 0], mean[h] + lasting[h] * shift[h], covariance[h] + by)
         )
     known = sum(part * mean for part, mean, _ in parts)
-    square = sum(part * (covariance + np.outer(m, m)) for part, m, covariance in parts)
-    lower = np.tril(square - np.outer(known, known))
-    return found | {"weights": weights, "known": known, "doubt": lower}
+    counts = np.array([weights[0], max(min(4 * weights[1] ** 2, 1.0), weights[1])])
+    scaled = np.array([1.0, 1.0, 1.0, *[counts[1] / weights[1]] * 2])
+    square = sum(
+        more * part * (covariance + np.outer(m - known, m - known))
+        for more, (part, m, covariance) in zip(scaled, parts, strict=True)
+    )
+    return found | {"weights": weights, "counts": counts, "known": known, "doubt": np.tril(square)}
 
 
 def begun(s, found):
@@ -170,7 +174,7 @@ KEPT = ("mean", "shift", "lasting", "covariance")
 
 def assert_state(s, expected):
     taken_back = (*KEPT, *(name + "s" for name in KEPT), "since")
-    taken_back += ("other", "proven", "known", "doubt", "weights")
+    taken_back += ("other", "proven", "known", "doubt", "weights", "counts")
     for name in s.dtype.names:
         if s["touched"].max() > rows.RECOGNISED and name in taken_back:
             continue
