@@ -44,6 +44,21 @@ def test_u_is_the_scatter_of_the_means_of_many_series(part, count):
     assert 0.93 < within.mean() < (0.97 if count == 39 else 1.0)
 
 
+@pytest.mark.parametrize("part", [0.0, 0.9])
+def test_no_number_of_readings_makes_u_jump(part):
+    """u over the scatter of means comes down towards 1 by small steps, and never below."""
+    ratios = []
+    for count in range(3, 13):
+        values = payback(part, 1400, count, seed=count)
+        values += 0.5 * np.random.default_rng(40 + count).standard_normal(values.shape)
+        us = [u for some in np.split(values.T, 200) for u, _ in steady_us(list(some))]
+        ratios.append(np.sqrt(np.mean(np.square(us))) / np.std(steady_mean(values)))
+    assert min(ratios) > 0.93
+    assert max(ratios) < 2.3
+    steps = np.divide(ratios[1:], ratios[:-1])
+    assert 0.75 < steps.min() < steps.max() < 1.2
+
+
 def test_a_series_that_is_given_again_tells_no_more_of_the_payback():
     first, *others = payback(0.6, 3, 12, seed=4).T
     once = steady_us([first, *others])
