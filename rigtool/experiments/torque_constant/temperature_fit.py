@@ -19,6 +19,8 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.ripple_over_turn import (
+    Alias,
+    alias_of,
     first_ripple,
     ripple_over_turn,
     stated_ripple,
@@ -138,6 +140,7 @@ def calibrate(
         "heat in the winding": relative(slopes.heating_u, slopes.heating_dof),
         "friction of the shaft": relative(slopes.friction_u, slopes.friction_dof),
         "ripple that few angles hide": relative(_hidden(fit)),
+        "cogging that equal angles hide": relative(fit.alias.constant if fit.alias else 0.0),
         MODEL_OF_FRICTION: relative(PATH_U * slopes.friction_share**2),
         "gauge resolution": relative(slopes.resolution_u),
         LINEARITY: relative(gauge_linearity / math.sqrt(3)),  # GUM 4.3.7
@@ -166,7 +169,7 @@ def calibrate(
         coefficient=law.stated(law.coefficient(), "1/K") if fit.slope_known else None,
         mean=law.stated(mean, "N m/A"),
         constant_error=law.constant_error(mean, (low, high)) if fit.slope_known else None,
-        ripple=stated_ripple(ripple, fit.angles, fit.single),
+        ripple=stated_ripple(ripple, fit.angles, fit.single, fit.alias),
         first_ripple=first_ripple(slopes) if fit.angles >= 3 else None,
         temperature=temperature,
         value=value,
@@ -215,6 +218,7 @@ class _Fit:
     scatter: float  # relative part of value_u from the scatter that the slopes state
     turn: float  # relative part of value_u from the ripple
     ripple: Quantity  # relative standard deviation of r over a turn
+    alias: Alias | None
     single: float  # relative standard uncertainty of one staircase
     angles: int
 
@@ -237,6 +241,7 @@ def _fit_temperature(slopes: Slopes) -> _Fit:
         slope_u = math.sqrt(max(rest, 0.0)), float(found.dof[1])
     value_u = math.sqrt(covariance[0, 0])
     unknown = bool(np.all(np.isnan(slopes.rotor_angle)))
+    ripple = ripple_over_turn(found, value, slopes, known=not unknown)
     scatter = value_u if unknown else min(float(np.sum(slopes.u**-2)) ** -0.5, value_u)
     return _Fit(
         temperature=centre,
@@ -257,7 +262,8 @@ def _fit_temperature(slopes: Slopes) -> _Fit:
         gain=1 + found.effect / value,
         scatter=scatter / value,
         turn=math.sqrt(value_u**2 - scatter**2) / value,
-        ripple=ripple_over_turn(found, value, slopes, known=not unknown),
+        ripple=ripple,
+        alias=alias_of(ripple, found, value, slopes),
         single=math.hypot(float(np.median(slopes.u)) / value, slopes.resolution_u),
         angles=0 if unknown else len(group_angles(slopes.rotor_angle)[0]),
     )

@@ -17,6 +17,7 @@ from rigtool.experiments.torque_constant.clampings import clamping_angles
 from rigtool.experiments.torque_constant.ripple_over_turn import (
     _alike,
     _nothing,
+    alias_of,
     first_ripple,
     ripple_over_turn,
     stated_ripple,
@@ -515,6 +516,76 @@ def test_torque_without_current_of_an_order_that_the_angles_hide_is_in_the_rippl
     assert stated_ripple(found, 18, 1e-4).u == found.u
     hides = combined(1e-3, "1", [error_line("deflection of the arm", 2e-3, "1")])
     assert "take a stiffer arm" in stated_ripple(hides, 18, 1e-4).reason
+
+
+@pytest.mark.parametrize("parts", [16, 32])
+def test_cogging_that_equal_angles_take_for_a_lower_order_is_found_by_the_slopes(thesis, parts):
+    """Order m - 2 passes for order 2, m + 3 for 3; the ripple that is left is that of order 5."""
+    angle, own = 2 * np.pi * np.arange(parts) / parts, 2e-4 / 0.045
+    bend, top, size = 0.05, float(np.ptp(thesis.slopes.level)), 5e-4
+    alike = {"u": np.full(parts, 1e-6), "rounding": np.zeros((1, parts))}
+    alike |= {"zero_u": np.full(parts, 1e-6), "deflection": bend, "deflection_u": 0.0}
+    alike |= {"ripple_u": 0.0, "friction_share": 0.0}
+
+    def found_at(angle: Array, *orders: int):
+        def torque(at: Array) -> Array:
+            return sum(size * np.cos(order * at + order) for order in orders)
+
+        slope = 0.045 + 2e-4 * np.cos(5 * angle) + (torque(angle + bend) - torque(angle)) / top
+        found = fit_angle_effects(np.ones((parts, 1)), slope, alike["u"], angle)
+        slopes = replace(thesis.slopes, rotor_angle=angle, slope=slope, zero=torque(angle), **alike)
+        ripple = ripple_over_turn(found, 0.045, slopes, known=True)
+        return ripple, alias_of(ripple, found, 0.045, slopes)
+
+    for orders, order, shown in (((parts - 2,), parts - 2, 2), ((parts + 3, 4), parts + 3, 3)):
+        ripple, alias = found_at(angle, *orders)
+        assert (alias.order, alias.shown, alias.parts) == (order, shown, parts)
+        assert_allclose(ripple.value - alias.less, own / np.sqrt(2), rtol=0.02)
+        assert alias.less > 10 * ripple.u
+        # cogging of the order m may be as large, and is the same for all slopes
+        hidden = size / np.sqrt(2) * 2 * math.sin(parts * bend / 2) / top / 0.045
+        assert_allclose(alias.constant, hidden, rtol=0.02)
+        stated = stated_ripple(ripple, parts, 1e-6, alias)
+        assert (stated.value, stated.u) == (ripple.value, None)
+        assert (
+            f"cogging of order {order} passes for order {shown} at {parts} equal" in stated.reason
+        )
+        assert stated_ripple(ripple, parts, 1e-6, replace(alias, less=0.9 * ripple.u)) == ripple
+    for orders in ((2,), (3, 4), (5,)):
+        ripple, alias = found_at(angle, *orders)
+        assert alias is None
+        assert_allclose(ripple.value, own / np.sqrt(2), rtol=0.02)
+    apart = angle + np.random.default_rng(0).uniform(0, 2 * np.pi / parts, parts)
+    assert found_at(apart, parts - 2)[1] is None
+
+
+def test_cogging_of_an_order_that_no_zero_shows_is_in_the_budget_of_the_constant(
+    thesis, monkeypatch
+):
+    """Order 16 at 16 angles, where order 14 shows in the slopes of an arm that gives way."""
+    angle = 2 * np.pi * np.arange(16) / 16
+    top = float(np.ptp(thesis.slopes.level))
+
+    def calibrated(*orders: int) -> Calibration:
+        def torque(at: Array) -> Array:
+            return sum(5e-4 * np.cos(order * at + order) for order in orders)
+
+        same = {"u": np.full(16, 1e-6), "rounding": np.zeros((1, 16)), "zero_u": np.full(16, 1e-6)}
+        same |= {"deflection": 0.05, "temperature": np.full(16, 25.0), "rotor_angle": angle}
+        same |= {"first": np.full(16, 0.045), "first_u": np.full(16, 1e-6)}
+        slope = 0.045 + 2e-4 * np.cos(5 * angle) + (torque(angle + 0.05) - torque(angle)) / top
+        slopes = replace(thesis.slopes, slope=slope, zero=torque(angle), **same)
+        at = "rigtool.experiments.torque_constant.temperature_fit."
+        monkeypatch.setattr(at + "fit_staircases", lambda _: slopes)
+        monkeypatch.setattr(at + "amplifier_linearity", lambda _: thesis.linearity)
+        return calibrate(None, arm_length=0.54, **ARM)
+
+    line = "cogging that equal angles hide"
+    assert calibrated(2).components[line] == 0.0
+    found = calibrated(14, 16)
+    assert_allclose(found.components[line], 5e-4 * 0.55 / top / 0.045, rtol=0.05)
+    assert abs(found.mean.value - 0.045) > 2 * calibrated(2).mean.u
+    assert abs(found.mean.value - 0.045) < 2 * found.mean.u
 
 
 def test_ripple_below_the_scatter_of_a_staircase_has_no_uncertainty():
