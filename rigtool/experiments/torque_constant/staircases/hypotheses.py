@@ -40,7 +40,11 @@ from itertools import product
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.torque_constant.staircases.mean_staircases import ASYMMETRY, MeanStaircases
+from rigtool.experiments.torque_constant.staircases.mean_staircases import (
+    ASYMMETRY,
+    MeanStaircases,
+    within_limits,
+)
 from rigtool.experiments.torque_constant.staircases.model import Common, Stairs
 from rigtool.experiments.torque_constant.staircases.swings import longest_lag
 from rigtool.experiments.torque_constant.staircases.winding_time import FEWEST_RESIDUALS
@@ -190,7 +194,7 @@ def weighed(
     `doubt`, its standard uncertainty, is not 0; `lengths` as in `_search`."""
     centre, parts = means.asymmetry, []
     for place, share in NODES if doubt else NODES[:1]:
-        means.asymmetry = centre + place * doubt
+        means.asymmetry = within_limits(centre + place * doubt)
         part = _joined([_search(means, way, FINER_GRIDS, lengths) for way in ways])
         beforehand = -((means.asymmetry / ASYMMETRY) ** 2) / 2
         part.volume[:] *= share * math.exp(beforehand + place**2 / 2)

@@ -48,8 +48,8 @@ ASYMMETRY = 0.1
 CHANGE = 1e-2
 """Relative change of what a hypothesis is linear about, and change of its asymmetry."""
 
-LARGEST_ASYMMETRY = 0.5
-"""Beyond it, friction z (1 + A z) would not grow with its state z everywhere."""
+LARGEST_ASYMMETRY = 0.45
+"""From half on, friction z (1 + A z) would not grow with its state z everywhere."""
 
 PARAMETERS = 7
 """Linear parameters of a mean staircase."""
@@ -303,7 +303,7 @@ class MeanStaircases:
         each = float(left @ left) / max(free, 1.0)
         known = 1 / (1 + each / power / ASYMMETRY**2)
         found = (self.asymmetry + change) * known
-        self.asymmetry = float(np.clip(found, -LARGEST_ASYMMETRY, LARGEST_ASYMMETRY))
+        self.asymmetry = within_limits(found)
         return ASYMMETRY * math.sqrt(1 - known)
 
     def _about(self, common: Common, contacts: Contacts) -> tuple[list[Array], Array]:
@@ -376,6 +376,11 @@ class MeanStaircases:
         """Return how many independent residuals a hypothesis leaves, less its parameters."""
         residual, used = self.residual(common), self._weight.ravel() > 0
         return independent_samples(residual, used, 1) - PARAMETERS * self.kinds
+
+
+def within_limits(asymmetry: float) -> float:
+    """Return the nearest relative asymmetry with which friction grows with its state."""
+    return min(max(asymmetry, -LARGEST_ASYMMETRY), LARGEST_ASYMMETRY)
 
 
 def _without(inverse: Array, found: Array, known: list[int]) -> Array:

@@ -6,10 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rigtool.experiments.torque_constant.staircases.arm_motion import Arm, Contacts
+from rigtool.experiments.torque_constant.staircases.arm_motion import Arm, Contacts, one_sided
 from rigtool.experiments.torque_constant.staircases.fit import fit_staircases
 from rigtool.experiments.torque_constant.staircases.hypotheses import weigh_hypotheses
-from rigtool.experiments.torque_constant.staircases.mean_staircases import ASYMMETRY, MeanStaircases
+from rigtool.experiments.torque_constant.staircases.mean_staircases import (
+    ASYMMETRY,
+    MeanStaircases,
+    within_limits,
+)
 from rigtool.experiments.torque_constant.staircases.model import Common, arrange, winding
 from rigtool.experiments.torque_constant.staircases.plateaus import plateaus_of_set_point
 from rigtool.experiments.torque_constant.staircases.swings import (
@@ -236,6 +240,13 @@ def test_friction_that_is_larger_in_one_direction_is_found(asymmetry):
     assert means.asymmetry == pytest.approx(asymmetry, abs=0.04)
     assert 0 < doubt < 0.04
     assert means.find_asymmetry(replace(common, transition=None)) == 0.0
+
+
+@pytest.mark.parametrize("asymmetry", [-2.0, -0.5, 0.2, 0.5, 2.0])
+def test_friction_of_any_asymmetry_grows_with_its_state(asymmetry):
+    ends = np.array([-1.0, 1.0])
+    _, slope = one_sided(ends, np.ones(2), within_limits(asymmetry))
+    assert slope.min() > 0.05
 
 
 def test_an_asymmetry_that_friction_s_law_may_explain_is_as_uncertain_as_it_scatters():
