@@ -46,8 +46,11 @@ RIPPLE_ANGLES = 13
 sixth may show nothing, or a part that their phase decides (two angles an order, and one)."""
 
 
-def ripple_over_turn(found: AngleEffects, value: float, slopes: Slopes, *, known: bool) -> Quantity:
-    """Return the relative standard deviation of r over a turn.
+def ripple_over_turn(
+    found: AngleEffects, value: float, slopes: Slopes, carried: Carried | None
+) -> Quantity:
+    """Return the relative standard deviation of r over a turn; without known angles `carried` is
+    None.
 
     The arm's deflection d acts in two ways, since the angle changes with the torque within a
     staircase: order k of the ripple is turned by k d, its size changes by up to `SMEARED` (k d)2;
@@ -56,7 +59,7 @@ def ripple_over_turn(found: AngleEffects, value: float, slopes: Slopes, *, known
     is what that adds to the slopes.
     """
     order = np.repeat(np.arange(1, len(found.amplitudes) // 2 + 1), 2)
-    carried = _carried(slopes) if known else _nothing(len(order))
+    carried = carried or _nothing(len(order))
     square, own = found.amplitudes**2, found.amplitudes - carried.amplitudes
     whole = found.deviation**2 + float(np.sum(own**2 - square)) / 2
     deviation = math.sqrt(max(whole - float(np.sum(carried.hidden)), 0.0))
@@ -109,7 +112,9 @@ class Alias:
     constant: float
 
 
-def alias_of(ripple: Quantity, found: AngleEffects, value: float, slopes: Slopes) -> Alias | None:
+def alias_of(
+    ripple: Quantity, found: AngleEffects, value: float, slopes: Slopes, carried: Carried | None
+) -> Alias | None:
     """Return the alike order whose cogging would lower the ripple most, None where none does.
 
     At m equal angles, orders k and k + n m are one to the zeros, w exp(i k a) N m. An arm that
@@ -119,9 +124,8 @@ def alias_of(ripple: Quantity, found: AngleEffects, value: float, slopes: Slopes
     `FITS_BETTER`, was rather made by the cogging.
     """
     parts = _equal_parts(slopes.rotor_angle)
-    if parts is None:
+    if parts is None or carried is None:
         return None
-    carried = _carried(slopes)
     wave, own = _wave(carried.begin), _wave(found.amplitudes - carried.amplitudes)
     shown = np.arange(1, len(wave) + 1)
     most = 1 + HIGHEST_APART // parts
@@ -159,7 +163,7 @@ def _equal_parts(angle: Array) -> int | None:
 
 
 @dataclass(frozen=True)
-class _Carried:
+class Carried:
     """What torque without current that changes with the angle does to slopes, N m/A, as the arm's
     deflection changes that torque.
 
@@ -178,13 +182,13 @@ class _Carried:
     variance: Array
 
 
-def _nothing(count: int) -> _Carried:
+def _nothing(count: int) -> Carried:
     none, no_order = np.zeros(count), np.zeros(HIGHEST_APART)
-    return _Carried(none, none, no_order, no_order, 1, none, none[::2])
+    return Carried(none, none, no_order, no_order, 1, none, none[::2])
 
 
-def _carried(slopes: Slopes) -> _Carried:
-    """Return what the zeros of the staircases show of it.
+def carried_by_arm(slopes: Slopes) -> Carried:
+    """Return what the zeros of the staircases show of torque that an arm carries into slopes.
 
     What no order up to K explains may be of any up to `HIGHEST_APART`.
     """
@@ -201,7 +205,7 @@ def _carried(slopes: Slopes) -> _Carried:
     square = np.full(len(order), zero.beyond / (len(order) - count))
     square[:count] = zero.variance / 2
     square /= top**2
-    return _Carried(
+    return Carried(
         np.stack([moved.real, -moved.imag], axis=1).ravel(),
         np.stack([error.real, -error.imag], axis=1).ravel(),
         square * np.abs(turned) ** 2,
@@ -218,7 +222,7 @@ def _wave(amplitudes: Array) -> NDArray[np.complex128]:
     return np.asarray(cosine - 1j * sine, dtype=np.complex128)
 
 
-def _alike(ripple: Array, carried: _Carried) -> float:
+def _alike(ripple: Array, carried: Carried) -> float:
     """Return the standard deviation of what is unknown in phase with the ripple (2 K,), N m/A.
 
     An order of unknown phase has half of its mean square in phase with the same order of the

@@ -21,6 +21,7 @@ from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.ripple_over_turn import (
     Alias,
     alias_of,
+    carried_by_arm,
     first_ripple,
     ripple_over_turn,
     stated_ripple,
@@ -241,7 +242,8 @@ def _fit_temperature(slopes: Slopes) -> _Fit:
         slope_u = math.sqrt(max(rest, 0.0)), float(found.dof[1])
     value_u = math.sqrt(covariance[0, 0])
     unknown = bool(np.all(np.isnan(slopes.rotor_angle)))
-    ripple = ripple_over_turn(found, value, slopes, known=not unknown)
+    carried = None if unknown else carried_by_arm(slopes)
+    ripple = ripple_over_turn(found, value, slopes, carried)
     scatter = value_u if unknown else min(float(np.sum(slopes.u**-2)) ** -0.5, value_u)
     return _Fit(
         temperature=centre,
@@ -263,7 +265,7 @@ def _fit_temperature(slopes: Slopes) -> _Fit:
         scatter=scatter / value,
         turn=math.sqrt(value_u**2 - scatter**2) / value,
         ripple=ripple,
-        alias=alias_of(ripple, found, value, slopes),
+        alias=alias_of(ripple, found, value, slopes, carried),
         single=math.hypot(float(np.median(slopes.u)) / value, slopes.resolution_u),
         angles=0 if unknown else len(group_angles(slopes.rotor_angle)[0]),
     )

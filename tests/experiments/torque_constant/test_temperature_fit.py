@@ -18,6 +18,7 @@ from rigtool.experiments.torque_constant.ripple_over_turn import (
     _alike,
     _nothing,
     alias_of,
+    carried_by_arm,
     first_ripple,
     ripple_over_turn,
     stated_ripple,
@@ -376,7 +377,8 @@ def test_what_the_ripple_is_uncertain_by(thesis):
     deflected = found.deviation * 0.05 * (3 * 0.02) ** 2
 
     def of(**changes) -> tuple[float, float, float]:
-        ripple = ripple_over_turn(found, 0.045, replace(bare, **changes), known=True)
+        own = replace(bare, **changes)
+        ripple = ripple_over_turn(found, 0.045, own, carried_by_arm(own))
         return ripple.value * 0.045, ripple.u * 0.045, ripple.dof
 
     value, u, dof = of()
@@ -499,7 +501,7 @@ def test_torque_without_current_of_an_order_that_the_angles_hide_is_in_the_rippl
     def ripple(size: float, *phases: float) -> Quantity:
         found = fit_angle_effects(ones, slope_of(size, *phases), slopes.u, angle)
         own = replace(slopes, zero=torque(angle, phases))
-        return ripple_over_turn(found, 0.045, own, known=True)
+        return ripple_over_turn(found, 0.045, own, carried_by_arm(own))
 
     alike = {"u": np.full(len(angle), 1e-5), "rounding": np.zeros((1, len(angle)))}
     alike |= {"zero_u": np.full(len(angle), 1e-6)}
@@ -534,8 +536,9 @@ def test_cogging_that_equal_angles_take_for_a_lower_order_is_found_by_the_slopes
         slope = 0.045 + 2e-4 * np.cos(5 * angle) + (torque(angle + bend) - torque(angle)) / top
         found = fit_angle_effects(np.ones((parts, 1)), slope, alike["u"], angle)
         slopes = replace(thesis.slopes, rotor_angle=angle, slope=slope, zero=torque(angle), **alike)
-        ripple = ripple_over_turn(found, 0.045, slopes, known=True)
-        return ripple, alias_of(ripple, found, 0.045, slopes)
+        carried = carried_by_arm(slopes)
+        ripple = ripple_over_turn(found, 0.045, slopes, carried)
+        return ripple, alias_of(ripple, found, 0.045, slopes, carried)
 
     for orders, order, shown in (((parts - 2,), parts - 2, 2), ((parts + 3, 4), parts + 3, 3)):
         ripple, alias = found_at(angle, *orders)
