@@ -37,7 +37,7 @@ from rigtool.rigs import Feedforward, Task, open_rig
 from rigtool.rigs.motion import Motion, Triangle
 from rigtool.rigs.virtual import hand
 from rigtool.rigs.virtual.layout import SLOW_STEP_SAMPLES
-from rigtool.rigs.virtual.maps import friction_map, rotor_map
+from rigtool.rigs.virtual.maps import MAP_SIZE, friction_map, rotor_map
 
 Array = NDArray[np.float64]
 
@@ -180,7 +180,7 @@ def plant_of(recipe: Recipe) -> Plant:
         tip_presliding_angle=instrument.tip_presliding_angle,
         load_friction=instrument.load_friction,
         load_friction_onset=instrument.load_friction_onset,
-        friction_map=friction_map(virtual),
+        friction_map=np.stack([friction_map(virtual), np.zeros(MAP_SIZE + 1)], axis=1),
     )
 
 

@@ -347,8 +347,9 @@ static inline void rs_advance(struct rigtool_sensor *s, rs_real torque, rs_real 
     /* housing */
     rs_real part, on = x[RS_GRASPER] - s->at, squared = on * on;
     int cell = rs_place(s->turn + x[RS_GRASPER] * (1 / RS_TURN), RS_HOUSING_CELLS, &part);
-    rs_real slope = rs_housing_map[cell + 1] - rs_housing_map[cell];
-    rs_real map = rs_housing_map[cell] + part * slope;
+    const rs_real *low = rs_housing_map[cell], *high = rs_housing_map[cell + 1];
+    rs_real slope = high[0] - low[0], load_slope = high[1] - low[1];
+    rs_real map = low[0] + part * slope;
     rs_real shift = on * (1 - squared * ((rs_real)1 / 6));
     rs_real held = 1 - squared * (rs_real)0.5 * (1 - squared * ((rs_real)1 / 12));
     rs_real sine = s->sine * held + s->cosine * shift;
@@ -356,12 +357,13 @@ static inline void rs_advance(struct rigtool_sensor *s, rs_real torque, rs_real 
     rs_real root = RS_MATH(sqrt)(twist * twist + rs_square(m->load_friction_onset));
     rs_real carried = (root - m->load_friction_onset) * (1 / m->torque_factor);
     rs_real sided = m->housing_friction * m->housing_asymmetry * h.after;
-    rs_real per_load = m->load_friction * (1 + x[RS_LOAD]);
+    rs_real per_load = m->load_friction * (1 + x[RS_LOAD]) + low[1] + part * load_slope;
     rs_real waves = x[RS_SINE] * sine + x[RS_COSINE] * cosine;
     rs_real housing = m->housing_friction * map + sided + per_load * carried + waves;
     rs_real by_h = housing + sided;
     rs_real by_twist = 1 / m->torque_factor * (1 + per_load * twist / root * h.after);
-    rs_real by_a = (m->housing_friction * slope * (RS_HOUSING_CELLS / RS_TURN)
+    rs_real by_a = ((m->housing_friction * slope + carried * load_slope)
+                        * (RS_HOUSING_CELLS / RS_TURN)
                     + x[RS_SINE] * cosine - x[RS_COSINE] * sine) * h.after;
 
     /* speed of rotor and output a sample later, by what was before */

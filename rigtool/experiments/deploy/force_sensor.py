@@ -79,7 +79,7 @@ def sensor_header(
         "".join(f"#define RS_{name} {value}\n" for name, value in _steps(instrument).items()),
         _struct(numbers),
         _map("rotor_map[RS_ROTOR_CELLS + 1][RS_COLUMNS]", rotor_map),
-        _map("housing_map[RS_HOUSING_CELLS + 1]", plant.friction_map),
+        _map("housing_map[RS_HOUSING_CELLS + 1][2]", plant.friction_map),
     ]
     template = files("rigtool.experiments.deploy").joinpath("force_sensor.h").read_text("utf-8")
     # The comment comes last: its text is others', and no marker in it counts.

@@ -8,7 +8,8 @@ torque M on the output from outside, positive where it resists positive motion:
     Jg dv/dt = s - Ft t - M
     s = k (theta/r - a) + c (w/r - v)                                       tendon
     F(w) = Fc + (Fs - Fc) exp(-(w/vs)^2)                                    Stribeck
-    L = Fh (m(a) + Ah h) + l (1 + load) (sqrt(s^2 + o^2) - o)/g + sine sin a + cosine cos a
+    L = Fh (m(a) + Ah h) + (l (1 + load) + lw(a)) (sqrt(s^2 + o^2) - o)/g
+        + sine sin a + cosine cos a
     dz/dx = (1 - z sign dx) / x0,  likewise h over theta, t over a          P. R. Dahl, AIAA J.
                                                                             14(12) 1675-1682, 1976
 
@@ -52,8 +53,8 @@ class Plant:
     `asymmetry` are Fc, Fs, vs and A of the bearings, with the bristle's length `presliding_angle`
     x0 [rad] and damping D [s]; `housing_...` are Fh, Ah, B and x0 of the housing at the motor,
     `tip_...` Ft and x0 at the grasper; `load_friction` l and `load_friction_onset` o [N m].
-    `friction_map` (n + 1,) is m over one turn of a. A bare pulley has no grasper_inertia, housing,
-    tip and load friction, and the factors 1.
+    `friction_map` (n + 1, 2) is m, and lw, by which load friction differs from l, over one turn of
+    a. A bare pulley has no grasper_inertia, housing, tip and load friction, and the factors 1.
     """
 
     sample_time: float
@@ -130,16 +131,17 @@ def _housing(p: Record, friction_map: Array, x: Array, h: float, twist: float) -
     place = x[GRASPER] * per_angle
     place -= math.floor(place / size) * size
     cell = min(int(place), size - 1)
-    slope = friction_map[cell + 1] - friction_map[cell]
-    by_angle = friction_map[cell] + (place - cell) * slope
+    low, high, part = friction_map[cell], friction_map[cell + 1], place - cell
+    slope, load_slope = high[0] - low[0], high[1] - low[1]
+    by_angle = low[0] + part * slope
     sine, cosine = math.sin(x[GRASPER]), math.cos(x[GRASPER])
     root = math.sqrt(twist * twist + p.load_friction_onset**2)
     carried = (root - p.load_friction_onset) / p.torque_factor
     sided = p.housing_friction * p.housing_asymmetry * h
-    per_load = p.load_friction * (1.0 + x[LOAD])
+    per_load = p.load_friction * (1.0 + x[LOAD]) + low[1] + part * load_slope
     level = p.housing_friction * by_angle + sided + per_load * carried
     level += x[SINE] * sine + x[COSINE] * cosine
-    slope *= p.housing_friction * per_angle
+    slope = (p.housing_friction * slope + load_slope * carried) * per_angle
     return (
         level * h,
         level + sided,

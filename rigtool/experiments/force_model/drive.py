@@ -146,12 +146,14 @@ def plant_of(model: LearnedModel, sample_time: float) -> Plant:
         for kind in Kind
     }
     angle = np.linspace(0.0, 2 * np.pi, MAP_SIZE + 1)
-    housing = np.zeros(MAP_SIZE + 1)
-    for term, value in zip(terms, coefficient, strict=True):
-        if term.kind is Kind.HOUSING:
-            housing += value * wave(term, angle)
     mean = sums[Kind.HOUSING]
     factor = known.torque_factor / (1.0 + sums[Kind.CARRIED])
+    columns = {Kind.HOUSING: (0, 1.0 / mean), Kind.LOAD_FRICTION: (1, factor / known.torque_factor)}
+    by_angle = np.tile((1.0, 0.0), (MAP_SIZE + 1, 1))
+    for term, value in zip(terms, coefficient, strict=True):
+        if term.order and term.kind in columns:
+            column, unit = columns[term.kind]
+            by_angle[:, column] += unit * value * wave(term, angle)
     static = sums[Kind.BEARING] + sums[Kind.STRIBECK]
     return Plant(
         sample_time=sample_time,
@@ -175,5 +177,5 @@ def plant_of(model: LearnedModel, sample_time: float) -> Plant:
         tip_presliding_angle=shape.tip_length,
         load_friction=sums[Kind.LOAD_FRICTION] * factor / known.torque_factor,
         load_friction_onset=shape.load_onset,
-        friction_map=housing / mean,
+        friction_map=by_angle,
     )

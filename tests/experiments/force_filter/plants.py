@@ -31,7 +31,7 @@ PLANT = Plant(
     tip_presliding_angle=5e-3,
     load_friction=0.102,
     load_friction_onset=1.8e-3,
-    friction_map=1 + 0.1 * np.cos(TURN),
+    friction_map=np.stack([1 + 0.1 * np.cos(TURN), 0.03 * np.sin(TURN)], axis=1),
 )
 
 UNCERTAINTY = Uncertainty(

@@ -29,6 +29,8 @@ from rigtool.experiments.force_filter.plant import (
 from tests.experiments.force_filter.plants import PLANT, dahl
 
 EYE = np.eye(STATES)
+ALIKE = np.tile((1.0, 0.0), (9, 1))
+"""Map of friction that is alike at all angles."""
 
 
 def flat(matrix):
@@ -97,7 +99,7 @@ def test_friction_of_sliding_is_coulombs_and_the_tendon_carries_the_load():
     load = 0.102 * (np.hypot(carried, 1.8e-3) - 1.8e-3) / 1.18
     needed = plant.coulomb + carried / 1.18 + plant.housing_friction + load
     needed += (5e-5 + plant.housing_viscous) * 2.0
-    plant = replace(plant, friction_map=np.ones(9))
+    plant = replace(plant, friction_map=ALIKE)
     step(plant, x, needed, 5e-5, count=400)
     assert x[SPEED] == pytest.approx(2.0, rel=1e-9)
     assert x[GRASPER_SPEED] == pytest.approx(2.0 / 0.85, rel=1e-9)
@@ -107,7 +109,9 @@ def test_the_grasper_swings_on_its_tendon_as_an_integrator_says():
     free = replace(
         PLANT, coulomb=0.0, static=0.0, housing_friction=0.0, tip_friction=0.0, load_friction=0.0
     )
-    free = replace(free, sample_time=5e-6, presliding_damping=0.0, housing_viscous=0.0)
+    free = replace(
+        free, sample_time=5e-6, presliding_damping=0.0, housing_viscous=0.0, friction_map=ALIKE
+    )
     k, c, r, g = free.stiffness, free.damping, free.angle_ratio, free.torque_factor
 
     def swing(_, y):
@@ -153,6 +157,22 @@ def test_derivatives_are_those_of_small_differences(free, x):
         assert (np.abs(rows[:, j] - slope) <= tolerance).all(), j
 
 
+def test_friction_by_load_has_the_slope_of_its_map():
+    steep = replace(PLANT, friction_map=PLANT.friction_map * (1.0, 100.0))
+    x = np.zeros(STATES)
+    x[[ANGLE, SPEED, HOUSING, GRASPER, GRASPER_SPEED, TORQUE]] = 0.5, 2.0, 0.9, 0.37, 2.4, 0.04
+    rows = flat(EYE)
+    step(steep, x.copy(), rows=rows)
+    h = 1e-6 * EYE[GRASPER]
+    slope = (step(steep, x + h)[SPEED] - step(steep, x - h)[SPEED]) / 2e-6
+    found = rows.reshape(STATES, ROW_LENGTH)[SPEED, GRASPER]
+    assert found == pytest.approx(slope, rel=1e-6)
+    rows = flat(EYE)
+    step(replace(steep, friction_map=ALIKE), x.copy(), rows=rows)
+    without = rows.reshape(STATES, ROW_LENGTH)[SPEED, GRASPER]
+    assert abs(found - without) > 0.1 * abs(without)  # the slope is a part of it
+
+
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.85]), st.integers(1, ROW_LENGTH))
 def test_backwards_is_the_transpose_of_forwards(seed, shaft, columns):
     rng = np.random.default_rng(seed)
@@ -182,6 +202,7 @@ def test_without_an_instrument_torque_acts_on_the_shaft():
         housing_viscous=0.0,
         tip_friction=0.0,
         load_friction=0.0,
+        friction_map=ALIKE,
     )
     x = np.zeros(STATES)
     x[TORQUE] = 4e-3

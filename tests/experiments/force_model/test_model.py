@@ -142,9 +142,10 @@ def moved_by_the_filter(coefficients):
 
 
 WAVE, SIDED = {Term(Kind.HOUSING, 1.0, 1, 0): 2e-3}, {Term(Kind.HOUSING_SIDED, 1.0): 1e-3}
+LOAD_WAVE = {Term(Kind.LOAD_FRICTION, 1.0, 2, 1): 0.1}
 
 
-@pytest.mark.parametrize("more", [WAVE, SIDED, WAVE | SIDED])
+@pytest.mark.parametrize("more", [WAVE, SIDED, LOAD_WAVE, WAVE | SIDED | LOAD_WAVE])
 def test_what_is_learned_is_what_the_filter_moves_by(more):
     """Each term is 0.15 to 4 mN m of the torque, which adds up within 0.06."""
     model, record = moved_by_the_filter(COEFFICIENTS | more)
