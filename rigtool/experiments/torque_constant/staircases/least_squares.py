@@ -41,3 +41,10 @@ class LeastSquares:
         through = self._normal @ np.einsum("mp,mpc->c", direct, self._shared)
         response: Array = direct - self._free @ through
         return response
+
+
+def left_by(columns: list[Array], torque: Array) -> Array:
+    """Return what least squares leave of torques (g, p) by columns (g, p) of each kind."""
+    q, _ = np.linalg.qr(np.stack(columns, axis=2))
+    rest: Array = torque - np.einsum("gpc,gc->gp", q, np.einsum("gpc,gp->gc", q, torque))
+    return rest

@@ -23,6 +23,7 @@ from rigtool.experiments.torque_constant.staircases.arm_motion import (
     state_of,
 )
 from rigtool.experiments.torque_constant.staircases.friction_cone import positive, possible
+from rigtool.experiments.torque_constant.staircases.least_squares import left_by
 from rigtool.experiments.torque_constant.staircases.model import (
     Common,
     Stairs,
@@ -106,28 +107,41 @@ class MeanStaircases:
         `lengths` (s,) are transitions over their exponent, N m. Once the arm is known, friction
         follows its motion, which depends on friction, too.
         """
+        a, b = self._along_turns(lengths, exponents, lags)
+        if self.arm is not None:
+            contacts = self._moves(lengths, exponents, a, b)
+            own = self.arm.friction_state(self.stairs.courses, contacts)
+            a, b = (-(each * self._weight).reshape(a.shape) for each in own)
+        return a, b
+
+    def _along_turns(
+        self, lengths: Array, exponents: Array, lags: Sequence[float | None]
+    ) -> tuple[Array, Array]:
+        """Return the columns of `_friction` along the turns that the courses show."""
         ways = np.stack(self._ways(lags), axis=1)
         each = exponents[:, None, None, None]
-        a, b = friction_state(ways, lengths[:, None, None] * each, each)
-        a, b = one_sided(a, b, self.asymmetry)
-        shape, (a, b) = a.shape, (-each * self._weight for each in (a, b))
-        if self.arm is None:
-            return a, b
-        level, state = self._levels(
-            self._time_constant, *(each.reshape(-1, *self._weight.shape) for each in (a, b))
-        )
+        both = one_sided(*friction_state(ways, lengths[:, None, None] * each, each), self.asymmetry)
+        return -both[0] * self._weight, -both[1] * self._weight
+
+    def _moves(self, lengths: Array, exponents: Array, a: Array, b: Array) -> Contacts:
+        """Return the friction with which the arm moves under each hypothesis, h at once: that of
+        their columns (e, s, l, g, p) along the turns."""
+        shape = -1, *self._weight.shape
+        level, state = self._levels(self._time_constant, a.reshape(shape), b.reshape(shape))
         laws = np.array([(n, length * n) for n, length in product(exponents, lengths)])
         laws = laws[:, :, None]
-        contacts = Contacts(level[:, None], state, laws[:, 1], laws[:, 0], self.asymmetry)
-        own = self.arm.friction_state(self.stairs.courses, contacts)
-        a, b = (-(each * self._weight).reshape(shape) for each in own)
-        return a, b
+        return Contacts(level[:, None], state, laws[:, 1], laws[:, 0], self.asymmetry)
 
     def _friction_under(self, common: Common) -> tuple[Array, Array]:
         """Return columns of f and f z0 (g, p) under a hypothesis that has friction."""
-        length = np.array([(common.transition or 0.0) / common.exponent])
-        a, b = self._friction(length, np.array([common.exponent]), [common.lag])
+        a, b = self._friction(*_law(common), [common.lag])
         return a[0, 0, 0], b[0, 0, 0]
+
+    def moves(self, common: Common) -> Contacts:
+        """Return the friction with which the arm moves under a hypothesis that has friction, as one
+        of h at once."""
+        law = _law(common)
+        return self._moves(*law, *self._along_turns(*law, [common.lag]))
 
     def friction_of_each(self, common: Common, begins: Array | None = None) -> tuple[Array, ...]:
         """Return columns of f and f z0 of each staircase (m, p), or nothing without friction.
@@ -152,13 +166,14 @@ class MeanStaircases:
                 by_turns(paths(courses, torque, course, [common.lag])[0]) for course in both
             )
             if self.arm is not None:
-                contacts = self.contacts(common)
-                first, _ = one_sided(contacts.state[kind][:, :1], at_once[1], self.asymmetry)
+                # As for the mean, or the paths of all would lead elsewhere.
+                contacts = self.moves(common)
+                first, _ = one_sided(contacts.state[0, kind, :1], at_once[1], self.asymmetry)
                 first = first if begins is None else begins[:, None]
                 friction = at_once[0] + at_once[1] * first
                 contacts = replace(contacts, state=state_of(friction, self.asymmetry))
                 each = replace(courses, torque=torque, course=both[0], part=courses.part[kind])
-                own += self.arm.friction_state(each, contacts) - at_once
+                own += np.concatenate(self.arm.friction_state(each, contacts)) - at_once
         a, b = -own * self.stairs.weight
         return a, b
 
@@ -378,6 +393,11 @@ class MeanStaircases:
         return independent_samples(residual, used, 1) - PARAMETERS * self.kinds
 
 
+def _law(common: Common) -> tuple[Array, Array]:
+    """Return the transition over its exponent, and the exponent of a hypothesis, (1,) each."""
+    return np.array([(common.transition or 0.0) / common.exponent]), np.array([common.exponent])
+
+
 def within_limits(asymmetry: float) -> float:
     """Return the nearest relative asymmetry with which friction grows with its state."""
     return min(max(asymmetry, -LARGEST_ASYMMETRY), LARGEST_ASYMMETRY)
@@ -389,11 +409,4 @@ def _without(inverse: Array, found: Array, known: list[int]) -> Array:
     cover = inverse[..., [0, *known], :] @ np.swapaxes(inverse[..., known, :], 2, 3)
     moved = np.linalg.solve(cover[..., 1:, :], found[..., known, None])
     rest: Array = found[..., 0] - (cover[..., :1, :] @ moved)[..., 0, 0]
-    return rest
-
-
-def left_by(columns: list[Array], torque: Array) -> Array:
-    """Return what least squares leave of torques (g, p) by columns (g, p) of each kind."""
-    q, _ = np.linalg.qr(np.stack(columns, axis=2))
-    rest: Array = torque - np.einsum("gpc,gc->gp", q, np.einsum("gpc,gp->gc", q, torque))
     return rest

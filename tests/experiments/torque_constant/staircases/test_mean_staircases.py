@@ -167,13 +167,32 @@ def swinging_arm():
     return means, law, contacts
 
 
+def mean_of(contacts: Contacts) -> Contacts:
+    """Return the friction of the mean staircase as one hypothesis of several at once."""
+    return Contacts(
+        np.array([[contacts.level]]),
+        contacts.state.mean(axis=0)[None, None],
+        np.array([[contacts.transition]]),
+        np.array([[contacts.exponent]]),
+    )
+
+
+def test_friction_of_each_staircase_is_on_average_that_of_the_mean(swinging_arm, monkeypatch):
+    """Under a law for which the motion shows other friction than that with which the arm moves."""
+    means, law, contacts = swinging_arm
+    shown = replace(contacts, level=5 * contacts.level, state=contacts.state.mean(axis=0)[None])
+    monkeypatch.setattr(means, "_moves", lambda *_: mean_of(contacts))
+    monkeypatch.setattr(means, "contacts", lambda common: shown)
+    mean, each = means._friction_under(law)[0], means.friction_of_each(law)[0]
+    assert np.abs(each.mean(axis=0) - mean[0]).max() < 0.01
+
+
 def test_friction_of_each_staircase_follows_its_own_torque(swinging_arm, monkeypatch):
     """Turns count only above the noise of a course; the arm's motion has the smaller ones, too."""
     means, law, contacts = swinging_arm
     courses = replace(means.stairs.courses, noise=np.array([1e-4]))
     monkeypatch.setattr(means.stairs, "courses", courses)
-    mean = replace(contacts, state=contacts.state.mean(axis=0, keepdims=True))
-    monkeypatch.setattr(means, "contacts", lambda common: mean)
+    monkeypatch.setattr(means, "moves", lambda common: mean_of(contacts))
     by_arm = means.friction_of_each(law)[0]
     monkeypatch.setattr(means, "arm", None)
     by_turns = means.friction_of_each(law)[0]
@@ -188,11 +207,7 @@ def test_friction_of_each_staircase_begins_with_its_own(swinging_arm, monkeypatc
     """Against motions that begin with it; that of the mean changes the way, too."""
     means, law, contacts = swinging_arm
     courses, begins = means.stairs.courses, np.array([-0.4, 0.1, 0.5, -0.2])
-    monkeypatch.setattr(
-        means,
-        "contacts",
-        lambda common: replace(contacts, state=contacts.state.mean(axis=0, keepdims=True)),
-    )
+    monkeypatch.setattr(means, "moves", lambda common: mean_of(contacts))
     torque, course, _ = courses.of_each()
     each = replace(courses, torque=torque, course=course, part=courses.part[[0] * 4])
     arms = replace(means.arm, steps=40)
