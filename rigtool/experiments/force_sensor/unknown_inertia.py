@@ -88,8 +88,8 @@ class Turns:
                 continue
             largest = side[first] * np.abs(acceleration[first:last]).max()
             found.append((largest, inertia, u[first:last].mean()))
-        every = np.array(passing), np.array(slow).reshape(-1, 2)
-        return cls(*np.array(found).reshape(-1, 3).T, *every)
+        every = *np.array(found).reshape(-1, 3).T, np.array(passing), np.array(slow).reshape(-1, 2)
+        return cls(*every)
 
 
 def _behind(corner_hz: float, step_time: float, angle: Array, torque: Array) -> tuple[Array, Array]:
