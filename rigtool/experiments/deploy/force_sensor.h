@@ -1556,8 +1556,10 @@ static inline void rs_earlier(
 static inline int rs_put_back(struct rigtool_sensor *s)
 {
     const rs_real usual = s->x[RS_SPEED] * (rs_model.step_time / rs_model.count);
-    const int32_t leap = rs_from(rs_from(s->encoder, s->counted), (int32_t)rs_within(usual, RS_LEAP));
-    const int32_t before = s->lost;
+    const int32_t steps = (int32_t)rs_within(usual, (rs_real)1e9);
+    const int32_t leap = rs_from(rs_from(s->encoder, s->counted), steps), before = s->lost;
+    if ((uint32_t)leap + RS_LEAP <= 2u * RS_LEAP) /* a motion, faster than any that was learned */
+        return 0;
     if (s->rested_up >= RS_COUNTING_STEPS && s->rested_down >= RS_COUNTING_STEPS) {
         rigtool_sensor_init(s);
         s->lost = before;

@@ -1,12 +1,12 @@
 """Counts that an encoder loses, adds or wraps from one sample to the next: they are put back.
 
-A rotor has inertia: from one sample to the next it does not pass more counts than at some times the
-learned speed. What leaps further while it moves is an error of the count, and all counts behind it
-are off by
+A rotor has inertia: from one sample to the next its step does not change by more counts than it
+passes at some times the learned speed, however fast it is. What leaps further while it moves is an
+error of the count, and all counts behind it are off by
 
     l = s - s_0
 
-with the leap s and the step s_0 of the sample before, counts. It is taken off.
+with the leap s and the last step s_0 that was none, counts. It is taken off.
 
 A leap that is a turn of the encoder, or a power of two from 2^15 on, is a counter that wraps.
 
@@ -25,7 +25,8 @@ from rigtool.experiments.force_filter.motion_states import FASTEST_LEARNED_RATIO
 from rigtool.numerics.arrays import Array, Mask
 
 LEAP_RATIO, LEAP_COUNTS = 5.0, 5.0
-"""A leap of the encoder: in the highest speed that was learned, and the fewest counts."""
+"""A change of the step that is a leap: in the highest speed that was learned, and the fewest
+counts."""
 
 COUNTING_TIME = 20e-3
 """Time without a count from which on a rotor rests, s: a channel may have stopped."""
@@ -67,7 +68,7 @@ class Counts:
         self._turn = round(2 * np.pi / count)
         self._resting = COUNTING_TIME / interval
         self._seen = self._changed = 0
-        self._last, self._step = np.nan, 0.0
+        self._last, self._step = np.nan, np.nan
 
     @property
     def leaps(self) -> Leaps | None:
@@ -79,7 +80,7 @@ class Counts:
         if not encoder.size:
             return encoder
         steps = np.diff(encoder, prepend=self._last)
-        leap = np.abs(steps) > self.largest_step
+        leap = self._leaping(steps)
         (at,) = np.nonzero(leap)
         changed = np.append(self._changed - self._seen, np.flatnonzero((steps != 0) & ~leap))
         found = encoder - self.lost if self.lost else encoder
@@ -101,6 +102,17 @@ class Counts:
         self._seen += encoder.size
         self._last = float(encoder[-1])
         return found
+
+    def _leaping(self, steps: Array) -> Mask:
+        """Return which of these steps (n,) leap: they differ from the last one that did not. The
+        first one is where the rotor already moves."""
+        leap: Mask = np.abs(steps) > self.largest_step
+        before = self._step
+        for k in np.flatnonzero(leap).tolist():
+            if k and not leap[k - 1]:
+                before = steps[k - 1]
+            leap[k] = abs(steps[k] - before) > self.largest_step
+        return leap
 
     def _wraps(self, size: Array) -> Array:
         """Return where a counter wraps that leaps by so many counts (n,); 0 where it does not."""

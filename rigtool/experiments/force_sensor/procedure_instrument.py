@@ -66,8 +66,9 @@ def of_this_instrument(
         notes.append(
             f"through reversals under a load, torque is {100 * abs(share):.1f} % "
             f"{'more' if share > 0 else 'less'} against the load's direction of motion and as much "
-            "the other way with it: u is wider by this share; the load opposes motion itself, or "
-            f"{tables.path} does not hold the friction under load: learn again"
+            "the other way with it: u is wider by this share; the load opposes motion itself, a "
+            f"mass swings at the turns (move slower), or {tables.path} does not hold the friction "
+            "under load: learn again"
         )
     by, other, said = changes(tables, kt, model)
     share, notes = math.hypot(share, other), notes + said

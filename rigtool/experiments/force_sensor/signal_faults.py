@@ -18,8 +18,9 @@ not see at rest. So does one that is further away than at first in the mean of `
 `MEAN_TURNS` of the integrator.
 
 A motor that moves a rig to and fro works against friction. Over a path L within a range R of
-angles, a load that helps in some of the passes does M R / (2 n) at most on the whole. Where the
-motor's work is below -F L / 2 - M R / (2 n), current and encoder have opposite signs, or a hand
+angles, a load that helps in some of the passes does M R / (2 n) at most on the whole. A load that
+takes the current to its limit may be larger, so the motion there does not count. Where the motor's
+work is below -F L / 2 - M R / (2 n), current and encoder have opposite signs, or a hand
 drives the rig.
 
 A current that stays at its highest or lowest value, to the last digit, while the rotor moves, and
@@ -146,12 +147,14 @@ class SignalWatch:
         found = [*self._leaped()]
         if self._windows:
             low, high, least, most, torque, moved, distance = np.hstack(self._windows)
-            found += self._opposed(torque, moved * self._turn, float(np.ptp(low)) * self._turn)
-            found += self._stopped(low, low == high, torque, distance)
             limited = self._limited(np.maximum(np.abs(least), np.abs(most)))
+            free = np.where(limited, 0.0, moved) * self._turn
+            found += self._opposed(torque, free, float(np.ptp(low)) * self._turn)
+            found += self._stopped(low, low == high, torque, distance, limited)
             found += self._left(np.where(limited, np.inf, torque), distance)
-            found += self._frozen(low, high, most, least == most)
-            found += self._cut(most, least, (least == most) & (low < high))
+            same = (least == most) & ~limited  # at its limit, a current may well stay
+            found += self._frozen(low, high, most, same)
+            found += self._cut(most, least, same & (low < high))
         return tuple(sorted(found, key=lambda one: one.start))
 
     def _leaped(self) -> Iterator[SignalFault]:
@@ -205,11 +208,12 @@ class SignalWatch:
         )
 
     def _stopped(
-        self, count: Array, still: Mask, torque: Array, distance: Array
+        self, count: Array, still: Mask, torque: Array, distance: Array, limited: Mask
     ) -> Iterator[SignalFault]:
         for first, last in _runs(count, still):
             change = float(np.ptp(torque[first:last]))
-            away, growth = self._unanswered(torque[first:last], distance[first:last])
+            own = slice(first, last)
+            away, growth = self._unanswered(torque[own], distance[own], limited[own])
             if change > self._held:
                 why = (
                     f"the motor's torque changes by {change * 1e3:.3g} mN m; friction and the "
@@ -235,10 +239,11 @@ class SignalWatch:
                 True,
             )
 
-    def _unanswered(self, torque: Array, distance: Array) -> tuple[float, float]:
+    def _unanswered(self, torque: Array, distance: Array, limited: Mask) -> tuple[float, float]:
         """Return by how much a set point goes away from a rotor at rest, rad, and the growth of
         torque on its side meanwhile, N m, where they contradict each other the most; zeros where
-        nothing is known. Torque and distance are those of windows (n,)."""
+        nothing is known. All are those of windows (n,); where the current is `limited`, the loop
+        cannot answer."""
         found, most = (0.0, 0.0), 0.0
         if not self._loop.gain > 0 or np.isnan(distance).any():
             return found
@@ -248,7 +253,7 @@ class SignalWatch:
             least = np.minimum.accumulate(out)
             since = np.maximum.accumulate(np.where(out == least, np.arange(len(out)), 0))
             away, growth = out - least, np.maximum(side * (torque - torque[since]), 0.0)
-            beyond = self._loop.gain * away - growth
+            beyond = np.where(limited, 0.0, self._loop.gain * away - growth)
             if beyond[at := int(beyond.argmax())] > most:
                 most, found = float(beyond[at]), (float(away[at]), float(growth[at]))
         return found

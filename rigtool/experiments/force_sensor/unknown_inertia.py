@@ -8,8 +8,11 @@ with the direction. About each change of speed, with torque and acceleration beh
 
 What touches may push the rotor: there, a speed comes back to what it was. A slow swing under a
 force looks like a turn, but an inertia is there all the time: most changes of speed show it, also
-those that come back. A part of J a is taken for friction of the strokes, so that the torque may be
-off for as much between the turns as well.
+those that come back. A force of some hertz swings the rotor in all of them, as an inertia would.
+Behind a lower low-pass the turns of the motion are left, and an inertia shows there as well: the
+median of J of all changes, by the squares of what no line in t holds of their a. A part of J a is
+taken for friction of the strokes, so that the torque may be off for as much between the turns as
+well.
 """
 
 from __future__ import annotations
@@ -23,13 +26,17 @@ import numpy as np
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.lowpass import lowpass
 
-SHOWN_HZ, LONGEST_STEP = 8.0, 0.011
-"""Corner of the low-pass, below which counts of the encoder show an acceleration; and the longest
-step by which rows show a turn, s."""
+SHOWN_HZ, SLOW_HZ, LONGEST_STEP = 8.0, 2.5, 0.011
+"""Corner of the low-pass, below which counts of the encoder show an acceleration, and of that which
+leaves turns, whatever swings faster; and the longest step by which rows show a turn, s."""
 
 LARGE_PART, LARGE_QUANTILE, NEXT_TIME, KEPT = 0.3, 0.99, 0.1, 0.7
 """Part of a quantile of accelerations from which on speed changes; time on both sides of a change
 that is compared, s; and the part of the accelerations there that the speed keeps."""
+
+SLOW_PART = 0.25
+"""Part of the inertia that shows behind the lower low-pass at least: friction that a turn draws
+anew is in it there, and a force of five hertz or more leaves less."""
 
 FEWEST_TURNS = 4
 """Turns of each sign below which nothing is compared."""
@@ -42,12 +49,14 @@ TYPICAL_OVER_U, LEAST_OVER_U = 0.5, 0.2
 class Turns:
     """Changes of speed: largest `acceleration` of the output, rad/s2, with its sign, `inertia` that
     the torque shows there, kg m2, and its `u`, N m; (k,) each. `passing` (m,) kg m2 is what those
-    show that come back."""
+    show that come back. `slow` (l, 2) are a'^2 and a' M' of all, the parts behind the lower
+    low-pass that no line holds."""
 
     acceleration: Array = field(default_factory=lambda: np.empty(0))
     inertia: Array = field(default_factory=lambda: np.empty(0))
     u: Array = field(default_factory=lambda: np.empty(0))
     passing: Array = field(default_factory=lambda: np.empty(0))
+    slow: Array = field(default_factory=lambda: np.empty((0, 2)))
 
     @classmethod
     def of(cls, step_time: float, output: Array, known: Mask, torque: Array, u: Array) -> Turns:
@@ -56,14 +65,13 @@ class Turns:
         margin = round(NEXT_TIME / step_time)
         if step_time > LONGEST_STEP or len(output) < 4 * margin:
             return cls()
-        rate = 1 / step_time
-        angle = lowpass(rate, output, SHOWN_HZ)
-        shown = lowpass(rate, np.where(known, torque, 0.0), SHOWN_HZ)
-        acceleration = np.gradient(np.gradient(angle, step_time), step_time)
+        given = np.where(known, torque, 0.0)
+        acceleration, shown = _behind(SHOWN_HZ, step_time, output, given)
+        turning = np.stack(_behind(SLOW_HZ, step_time, output, given), axis=1)
         least = LARGE_PART * np.quantile(np.abs(acceleration), LARGE_QUANTILE)
         side = np.where(np.abs(acceleration) > least, np.sign(acceleration), 0.0)
         edges = np.flatnonzero(np.diff(side, prepend=0.0, append=0.0)).tolist()
-        found, passing = [], []
+        found, passing, slow = [], [], []
         for first, last in itertools.pairwise(edges):
             about = slice(first - margin, last + margin)
             if not side[first] or about.start < 0 or about.stop > len(side):
@@ -73,12 +81,29 @@ class Turns:
                 continue
             line = np.stack([np.ones(len(own)), np.linspace(-1, 1, len(own)), own], axis=1)
             inertia = np.linalg.lstsq(line, shown[about])[0][2]
+            bent = turning[about] - line[:, :2] @ np.linalg.lstsq(line[:, :2], turning[about])[0]
+            slow.append(bent[:, 0] @ bent)
             if abs(own.sum()) < KEPT * np.abs(own).sum():
                 passing.append(inertia)
                 continue
             largest = side[first] * np.abs(acceleration[first:last]).max()
             found.append((largest, inertia, u[first:last].mean()))
-        return cls(*(*np.array(found).reshape(-1, 3).T, np.array(passing)))
+        every = *np.array(found).reshape(-1, 3).T, np.array(passing), np.array(slow).reshape(-1, 2)
+        return cls(*every)
+
+
+def _behind(corner_hz: float, step_time: float, angle: Array, torque: Array) -> tuple[Array, Array]:
+    """Return the acceleration at an angle, and the torque, behind a low-pass, (m,) each."""
+    angle, shown = (lowpass(1 / step_time, one, corner_hz) for one in (angle, torque))
+    return np.gradient(np.gradient(angle, step_time), step_time), shown
+
+
+def _weighted_median(squares: Array, products: Array) -> float:
+    """Return the median of products over squares (n,), of which each weighs by its square."""
+    order = np.argsort(products / squares)
+    sums = np.cumsum(squares[order])
+    at = order[np.searchsorted(sums, sums[-1] / 2)]
+    return float(products[at] / squares[at])
 
 
 @dataclass(frozen=True)
@@ -93,10 +118,10 @@ class UnknownInertia:
 def unknown_inertia(parts: Sequence[Turns]) -> UnknownInertia | None:
     """Return what the turns of stretches show, the larger of both signs; None where their torques
     are no more than errors, not in proportion to the acceleration, or where half of all changes of
-    speed show less than half of it."""
-    acceleration, inertia, u, passing = (
+    speed show less than half of it, or less than `SLOW_PART` behind the lower low-pass."""
+    acceleration, inertia, u, passing, slow = (
         np.concatenate([getattr(part, name) for part in parts])
-        for name in ("acceleration", "inertia", "u", "passing")
+        for name in ("acceleration", "inertia", "u", "passing", "slow")
     )
     found = []
     for side in (acceleration > 0, acceleration < 0):
@@ -109,4 +134,5 @@ def unknown_inertia(parts: Sequence[Turns]) -> UnknownInertia | None:
         found.append(UnknownInertia(float(np.median(inertia[side])), float(np.median(torque))))
     largest = max(found, key=lambda one: one.torque)
     every = np.median(np.concatenate([inertia, passing]))
-    return largest if every > largest.inertia / 2 else None
+    turns = _weighted_median(*slow.T) > SLOW_PART * largest.inertia
+    return largest if turns and every > largest.inertia / 2 else None

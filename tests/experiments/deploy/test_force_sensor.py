@@ -24,6 +24,7 @@ from tests.experiments.deploy.sensors import (
     expected,
     instrument,
     motions,
+    moved,
 )
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler cc")
@@ -157,6 +158,17 @@ def test_counts_that_leap_while_the_rotor_moves_are_put_back(libraries, samples,
     part = whole.copy()
     part[0, 11000:] += int(most) - 5  # is a motion
     assert (np.abs(read(library, part) - plain)[:, 0] > 3 * plain[:, 1]).any()
+
+
+def test_a_motion_beyond_five_times_the_learned_speed_is_no_leap(tmp_path):
+    """The rotor is where its encoder shows it: what follows is read at its true angles."""
+    own, time = instrument(reach=replace(REACH, speed=0.6)), INTERVAL * np.arange(16000)
+    fast = moved(0.55 * (1 - np.cos(2 * np.pi * 4 * time)), np.zeros(len(time)))
+    assert np.abs(np.diff(fast[0, ::8])).max() > 1.5 * 5 * 1.1 * 0.6 * 1e-3 / own.count
+    found = read(compiled(tmp_path, header(own)), fast)
+    wanted = expected(own, fast)
+    np.testing.assert_array_equal(found[:, 4], wanted[:, 4])
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * RANGE)
 
 
 def test_counts_that_leap_after_a_rest_begin_anew(libraries, samples):

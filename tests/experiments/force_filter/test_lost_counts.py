@@ -27,3 +27,19 @@ def test_a_turn_is_a_wrap_where_it_is_more_than_four_leaps(largest, wraps):
     watched.add(np.array([0.0, 0.0, 2000.0]))
     assert watched.leaps is not None
     assert watched.leaps.wraps.tolist() == [wraps]
+
+
+@pytest.mark.parametrize("pieces", [(), (1, 700, 701, 2999)])
+def test_a_rotor_that_is_faster_than_what_was_learned_does_not_leap(pieces):
+    """Something drives it: step by step its speed changes by less than a leap."""
+    steps = 60 * np.cos(np.pi * np.arange(4000) / 1000)
+    encoder = np.floor(np.cumsum(steps))
+    watched = counts(10)
+    found = np.concatenate([watched.add(part) for part in np.split(encoder, pieces)])
+    np.testing.assert_array_equal(found, encoder)
+    assert watched.leaps is None
+    leaping = encoder + 70.0 * (np.arange(4000) >= 2500)
+    again = counts(10)
+    found = np.concatenate([again.add(part) for part in np.split(leaping, pieces)])
+    np.testing.assert_allclose(found, encoder, atol=2)
+    assert again.leaps.sample.tolist() == [2500]

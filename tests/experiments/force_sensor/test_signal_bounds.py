@@ -104,12 +104,15 @@ def test_a_loop_leaves_no_mean_distance_of_the_set_point_that_it_does_not_answer
 
 def test_a_current_at_its_limit_explains_any_distance():
     encoder, _ = to_and_fro()
+    still = (TIME > 2.6) & (TIME < 5.4)  # it is held there
+    encoder = np.where(still, encoder[still][0], encoder)
     away = (TIME > 3) & (TIME < 5)
     wanted, limit = encoder * COUNT + 0.5 * away, instrument().current_limit
     for current, seen in ((0.4, True), (limit, False)):
         driven = np.where((TIME > 2.5) & (TIME < 5.5), current, 0.4) + NOISE * (TIME > 6)
         found = faults(encoder, driven, setpoint=wanted, commanded=True, loop=LoopAnswer(2.0))
         assert any("further from" in fault.text for fault in found) == seen
+        assert any("goes away by" in fault.text for fault in found) == seen
 
 
 @BOTH

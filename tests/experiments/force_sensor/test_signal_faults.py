@@ -51,6 +51,17 @@ def test_current_and_encoder_of_opposite_signs_are_a_fault(signs, commanded):
     assert fault.within(TIME[:-200], causal=True).all() == commanded
 
 
+def test_a_load_that_drives_the_rotor_against_a_current_at_its_limit_is_no_fault():
+    """More than was learned, it turns the rotor back for half a turn; the signs are right."""
+    encoder, current = strokes()
+    drives = between(2, 5)
+    encoder = np.floor(encoder - 4000 * np.clip(TIME - 2, 0, 3))
+    limit = instrument().current_limit
+    assert faults(encoder, np.where(drives, limit, current), commanded=True) == ()
+    (fault,) = faults(encoder, np.where(drives, 0.98 * limit, current) + NOISE, commanded=True)
+    assert "opposite signs" in fault.text
+
+
 def test_a_dead_encoder_under_a_current_that_grows_has_no_value():
     encoder, current = strokes()
     encoder[between(3, 6)] = encoder[np.argmax(TIME >= 3)]

@@ -82,6 +82,17 @@ def test_a_slow_swing_under_a_force_is_no_inertia_where_quick_motion_shows_none(
         assert found.inertia == pytest.approx(280e-6, rel=0.2)
 
 
+@pytest.mark.parametrize(("hertz", "size"), [(7.1, 10e-3), (10.2, 10e-3), (10.2, 20e-3)])
+def test_a_force_that_swings_the_rotor_in_its_strokes_is_no_inertia(hertz, size):
+    """The loop yields by as much as an inertia of 275e-6 kg m2 would take, at any moment."""
+    force = size * np.sin(2 * np.pi * hertz * TIME)
+    yields = -force / (275e-6 * (2 * np.pi * hertz) ** 2)
+    torque = drawn(np.random.default_rng(3)) + force
+    own = turns(torque, angle=strokes()[0] + np.floor(yields / COUNT) * COUNT)
+    assert len(own.inertia) >= 8
+    assert unknown_inertia([own]) is None
+
+
 @pytest.mark.parametrize("part", ["few", "unknown", "coarse", "short"])
 def test_where_turns_are_not_seen_nothing_is_said(part):
     angle, acceleration, _ = strokes()
