@@ -372,7 +372,7 @@ def turning() -> Iterator[Design]:
     )
     yield Design(
         "identify-plant, 2 periods",
-        moving,
+        moving_excited,
         Step(IDENTIFY_PLANT, PULLEY | {"identify_plant.periods": 2}, {"kt": KT}),
         by_name(true_plant),
     )
