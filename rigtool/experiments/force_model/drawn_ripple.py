@@ -1,8 +1,8 @@
 """What an amplifier may draw at another power-up, from the ripple that was learned.
 
-The orders of which most is expected, in the mean square, are followed (`power_up`). What of the
-ripple is not is in the variance alone: the other orders c, and what grows with the current,
-(g + h |i|) kT i. At another power-up these are off by
+The orders of which most is expected, in the mean square, are followed (`force_sensor.power_up`).
+What of the ripple is not is in the variance alone: the other orders c, and what grows with the
+current, (g + h |i|) kT i. At another power-up these are off by
 
     n^2 sum over orders of (C^2 + (kT i)^2 A(i)^2) / (1 + (order b' tau)^2),
     C^2 = |c|^2, 0 where followed,   A(i)^2 = |g + h |i||^2,

@@ -29,13 +29,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import expit, logsumexp
 
+from rigtool.experiments.force_model.drawn_ripple import sized_waves, sums
 from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import ROTOR_ORDERS, Kind
 from rigtool.experiments.force_model.sliding_problem import (
     ROWS_PER_INDEPENDENT_ROW,
     SLIDING_PARAMETERS,
 )
-from rigtool.experiments.force_sensor.drawn_ripple import sized_waves, sums
 from rigtool.numerics.arrays import Array
 
 GROWING = (Kind.GAIN_RIPPLE, Kind.SQUARE_RIPPLE)

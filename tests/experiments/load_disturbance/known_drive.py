@@ -35,8 +35,8 @@ def strokes(
     """Return strokes under a load, N m, at an output speed in rev/s, laid over each other.
 
     Friction is 10 mN m without load, `friction` times the load more; the torque constant varies
-    with the rotor's angle by `ripple`, by `phase` later; `scatter` N m is that of each cycle's load. The record
-    states its load only where it is `known`.
+    with the rotor's angle by `ripple`, turned by `phase`; `scatter` N m is that of each cycle's
+    load. The record states its load only where it is `known`.
     """
     rotor_speed = 2 * math.pi * speed * KNOWN.angle_ratio
     span = math.pi * KNOWN.angle_ratio
