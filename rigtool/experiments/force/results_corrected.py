@@ -246,7 +246,8 @@ def _power_up_notes(read: Sequence[LoadReading | InsufficientDataError]) -> Iter
     if any(isinstance(one, LoadReading) and one.another > LIKELY for one in read):
         yield (
             "the amplifier's ripple differs from that while loads were learned, as after switching "
-            "it off and on: what grows with the current is in u; learn and measure without that"
+            "it off and on: what of it grows with the current is in u; learn and measure without "
+            "switching it off"
         )
 
 
