@@ -155,6 +155,7 @@ def test_the_budget_holds_scatter_zero_disturbance_and_misfit(sliding, unloaded)
         "reading without load",
         "disturbance as learned",
         "what the disturbance leaves",
+        "ripple of another power-up",
     }
     total = math.hypot(*(line.u for line in budget.values()))
     assert found.quantity.u == pytest.approx(total, rel=1e-9, abs=0)
