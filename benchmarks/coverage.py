@@ -169,7 +169,7 @@ def rows(trials: Sequence[Trial]) -> Iterator[Row]:
 def main() -> None:
     """Try every design and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rigs", type=int, help="drawn for each design (24; 6 that learn loads)")
+    parser.add_argument("--rigs", type=int, help="drawn for each design (24; 12 that learn loads)")
     parser.add_argument("--first", type=int, default=1, help="seed of the first rig")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--only", help="designs whose name contains this")

@@ -75,8 +75,8 @@ class Design:
 
     @property
     def rigs(self) -> int:
-        """Rigs that half an hour on two cores allows; known loads take two minutes to learn."""
-        return 24 if self.learns is None else 6
+        """Rigs that 20 minutes on two cores allow; known loads take a minute to learn and read."""
+        return 24 if self.learns is None else 12
 
 
 def learning_of(step: Step) -> Step | None:
@@ -372,7 +372,7 @@ def turning() -> Iterator[Design]:
     )
     yield Design(
         "identify-plant, 2 periods",
-        moving,
+        moving_excited,
         Step(IDENTIFY_PLANT, PULLEY | {"identify_plant.periods": 2}, {"kt": KT}),
         by_name(true_plant),
     )

@@ -131,7 +131,8 @@ def moving(rng: np.random.Generator) -> Settings:
 
 def moving_excited(rng: np.random.Generator) -> Settings:
     """Draw the same with another number of excited lines, and thus other phases, for each rig:
-    errors by what an instrument distorts are those of the phases, of one sign for all rigs."""
+    errors by what an instrument distorts, or by what few periods leave of the run-up, are those of
+    the phases, of one sign for all rigs."""
     return moving(rng) | {"identify_plant.lines": int(rng.integers(30, 50))}
 
 

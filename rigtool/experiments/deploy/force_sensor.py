@@ -26,10 +26,10 @@ from rigtool.experiments.force_filter import (
     swinging,
 )
 from rigtool.experiments.force_filter.estimate import idle_steps
+from rigtool.experiments.force_model.drawn_ripple import learned_ripple
 from rigtool.experiments.force_model.drive import VISCOUS
 from rigtool.experiments.force_model.steps import LONGEST_EXACT, NO_CURRENT
 from rigtool.experiments.force_sensor import lasting_contact, ripple_rows, shown_ripple
-from rigtool.experiments.force_sensor.drawn_ripple import learned_ripple
 from rigtool.experiments.force_sensor.sensor import AT_THE_LIMIT, SensorProperties
 from rigtool.numerics.arrays import Array
 

@@ -11,7 +11,7 @@ near standstill every load has a dead band instead of a value.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,6 +46,9 @@ LARGEST_LOAD_RATIO = 1.05
 
 LOAD_FRICTION = "friction that grows with load"
 CORRECTED = f"--correction load: {LOAD_FRICTION} and the tendon's stretch are corrected"
+LIKELY = 0.5
+"""Probability of another power-up of the amplifier from which on a note names it."""
+
 SPEED_SLACK = 1.01
 MAX_ITERATIONS = 50
 
@@ -169,8 +172,8 @@ WHOLE_COLUMNS = {
 
 WHOLE_TEXTS = {
     "mean_torque": "load at the angle of the reading, from whole strokes up and down",
-    "mean_torque_u": "standard uncertainty: scatter, zero, disturbance, misfit, temperature, "
-    "samples of current, weights and length of the learned loads",
+    "mean_torque_u": "standard uncertainty: scatter, zero, disturbance, misfit, ripple of another "
+    "power-up, temperature, samples of current, weights and length of the learned loads",
     "std_torque": "S of single cycles",
     "cycles": "cycles read",
 }
@@ -227,6 +230,7 @@ def full_outcome(
         f"--correction full: loads read from whole strokes with the disturbance of "
         f"{tables.path.name} taken off; the zero is from {counted}",
         *(f"no value: {reason}" for reason in dict.fromkeys(reasons)),
+        *_power_up_notes(read),
         drift.remark,
         *base.notes,
     )
@@ -235,6 +239,16 @@ def full_outcome(
         "was learned"
     )
     return _with_rows(base, rows, thesis, WHOLE_TEXTS, about, notes)
+
+
+def _power_up_notes(read: Sequence[LoadReading | InsufficientDataError]) -> Iterator[str]:
+    """Say where the ripple is another one than while loads were learned."""
+    if any(isinstance(one, LoadReading) and one.another > LIKELY for one in read):
+        yield (
+            "the amplifier's ripple differs from that while loads were learned, as after switching "
+            "it off and on: what of it grows with the current is in u; learn and measure without "
+            "switching it off"
+        )
 
 
 def _whole(load: LoadReadings) -> Record:

@@ -51,9 +51,9 @@ from numpy.typing import NDArray
 from rigtool.experiments.force_filter import passed
 from rigtool.experiments.force_filter.motion_states import SLIDING_DEFLECTION
 from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, TORQUE, Record
+from rigtool.experiments.force_model.drawn_ripple import learned_ripple
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_sensor import shown_ripple
-from rigtool.experiments.force_sensor.drawn_ripple import learned_ripple
 from rigtool.experiments.force_sensor.lasting_contact import LASTING, LASTS
 from rigtool.experiments.force_sensor.ripple_rows import (
     CHANGED,

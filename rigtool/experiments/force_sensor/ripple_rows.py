@@ -16,8 +16,8 @@ import numpy as np
 
 from rigtool.experiments.force_filter import passed
 from rigtool.experiments.force_filter.plant import Record
+from rigtool.experiments.force_model.drawn_ripple import FOLLOWED
 from rigtool.experiments.force_model.model import ROTOR_ORDERS
-from rigtool.experiments.force_sensor.drawn_ripple import FOLLOWED
 from rigtool.experiments.force_sensor.lasting_contact import (
     DRIFT,
     counted,

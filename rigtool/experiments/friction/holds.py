@@ -36,6 +36,9 @@ NOISE_ORDINATES = 24
 NOISE_CORNERS = np.append(np.geomspace(0.5, 200.0, 24), 1e9)
 """Corners of the noise, K in cycles a hold; the last one is that of white noise."""
 
+SAME_SPEED = 0.01
+"""Relative difference of speeds up to which they are one."""
+
 SHAKING_TIME = 0.05
 """Torque that varies faster than this, s, comes from the speed loop, not from friction."""
 

@@ -38,8 +38,6 @@ from rigtool.experiments.friction.results import (
     add_breakaway,
     add_flatness,
     add_friction,
-    add_radial_breakaway,
-    add_radial_friction,
     add_static_friction,
     breakaway_table,
     holds_table,
@@ -47,6 +45,7 @@ from rigtool.experiments.friction.results import (
     torque_speed_table,
 )
 from rigtool.experiments.friction.results_difference import add_curve_difference, require_different
+from rigtool.experiments.friction.results_radial import add_radial_breakaway, add_radial_friction
 from rigtool.experiments.friction.stribeck_fit import fit_directions, mean_by_speed
 from rigtool.experiments.friction.sweep import TorqueSpeed, torque_speed_curve
 from rigtool.experiments.outcome import Outcome

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError, naming
-from rigtool.experiments.friction.results import SAME_SPEED, Findings
+from rigtool.experiments.friction.holds import SAME_SPEED
+from rigtool.experiments.friction.results import Findings
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Run, Table, dof_column

@@ -34,6 +34,7 @@ from rigtool.experiments.force_model.sliding_problem import (
     measured,
     slopes,
 )
+from rigtool.experiments.load_disturbance.power_up import Left, another_power_up, ripple_u
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.steady_mean import steady_mean, steady_us, weights
 from rigtool.quantity import STANDARD_GRAVITY, Quantity, combined, error_line
@@ -64,13 +65,15 @@ class LoadReading:
     """A load, N m at 90 degrees, by whole strokes and at one angle.
 
     `quantity` states it with its budget, of which `scatter_u` is a line. `cycles` (m,) are single
-    readings of it, `at_angle` (m,) those at one angle of each rising stroke.
+    readings of it, `at_angle` (m,) those at one angle of each rising stroke. `another` is the
+    probability of another power-up of the amplifier than the learned one.
     """
 
     quantity: Quantity
     scatter_u: float
     cycles: Array
     at_angle: Array
+    another: float
 
     @property
     def moment(self) -> float:
@@ -126,8 +129,20 @@ class _Explained:
 
 
 @dataclass(frozen=True, eq=False)
+class _Zero:
+    """Without load, at rows: what a model leaves (rows,), N m, its derivatives (p, rows), and what
+    the recording has of its own (3, rows); the variance of the rows by scatter, N2 m2."""
+
+    left: Array
+    design: Array
+    own: Array
+    scattered: float
+
+
+@dataclass(frozen=True, eq=False)
 class _Found:
-    """A load M, N m; readings of cycles with and without it."""
+    """A load M, N m; readings of cycles with and without it; the probability `another` of another
+    power-up, at which it is uncertain by `ripple_u`."""
 
     moment: float
     cycles: Array
@@ -135,6 +150,8 @@ class _Found:
     at_angle: Array
     model_u: float
     misfit_u: float
+    another: float
+    ripple_u: float
 
 
 def read_loads(
@@ -151,7 +168,7 @@ def read_loads(
     next is what all cycles of these pairs show together; those without load, which several pairs
     have in common, count once.
     """
-    zeros: dict[int, tuple[Array, Array]] = {}
+    zeros: dict[int, _Zero] = {}
     found: list[_Found | InsufficientDataError] = []
     for pair in pairs:
         key = id(pair.unloaded)
@@ -174,22 +191,38 @@ def _stated(found: _Found, us: Iterator[tuple[float, float]]) -> LoadReading:
     """Return a reading with its uncertainty; `us` yields those of cycles and zeros, and dof."""
     scatter_u, scatter_dof = next(us)
     zeros = [next(us) for _ in found.zeros]
+    ripple_u = math.sqrt(found.another) * found.ripple_u  # rms over both power-ups
     lines = [
         error_line("scatter", scatter_u, "N m", scatter_dof),
         *(error_line("reading without load", u / len(zeros), "N m", dof) for u, dof in zeros),
         error_line("disturbance as learned", found.model_u, "N m"),
         error_line("what the disturbance leaves", found.misfit_u, "N m"),
+        error_line("ripple of another power-up", ripple_u, "N m"),
     ]
     stated = combined(found.moment, "N m", lines)
-    return LoadReading(stated, scatter_u, found.cycles, found.at_angle)
+    return LoadReading(stated, scatter_u, found.cycles, found.at_angle, found.another)
 
 
-def _zero(model: LearnedModel, pair: LoadedPair) -> tuple[Array, Array]:
-    """Return the model's residual without load (rows,), N m, and its derivatives (p, rows)."""
-    count = pair.loaded.count
+def _zero(model: LearnedModel, pair: LoadedPair) -> _Zero:
+    """Return what the model leaves without load, at the rows of the pair."""
+    count, used = pair.loaded.count, pair.loaded.used
     each = [_Explained.of(model, record) for record in pair.unloaded]
     left = np.mean([_at(one.left(), count) for one in each], axis=0)
-    return left, _at(each[0].design(), count)
+    own = _at(_own(each[0].state), count)
+    fitted = np.linalg.qr(own[:, used].T)[0]
+    scattered = [_scattered(record, pair.loaded, fitted) for record in pair.unloaded]
+    return _Zero(left, _at(each[0].design(), count), own, sum(scattered) / len(scattered) ** 2)
+
+
+def _scattered(record: Record, at: Record, fitted: Array) -> float:
+    """Return the `scatter_of_mean` of a record at the rows of another one."""
+    return scatter_of_mean(_at(record.torques, at.count)[:, at.used], fitted)
+
+
+def _own(state: RecordState) -> Array:
+    """Return the friction levels that each recording has of its own (3, rows)."""
+    d, a = state.housing, state.record.angle / state.known.angle_ratio
+    return state.record.rows(np.stack([d, d * np.sin(a), d * np.cos(a)]))
 
 
 def _at(rows: Array, count: int) -> Array:
@@ -204,21 +237,19 @@ def _at(rows: Array, count: int) -> Array:
 def _find(
     model: LearnedModel,
     pair: LoadedPair,
-    zero: tuple[Array, Array],
+    zero: _Zero,
     largest: float,
     angle: float,
     bandwidth_hz: float,
 ) -> _Found:
     loaded, used = pair.loaded, pair.loaded.used
     explained = _Explained.of(model, loaded)
-    left_zero, design_zero = zero
-    shown = loaded.rows(measured(loaded, model.known)) - left_zero
+    shown = loaded.rows(measured(loaded, model.known)) - zero.left
 
     def expected(moment: float) -> Array:
         return explained.under(moment, pair.arm)
 
-    d, a = explained.state.housing, loaded.angle / model.known.angle_ratio
-    own = loaded.rows(np.stack([d, d * np.sin(a), d * np.cos(a)]))[:, used]
+    own = _own(explained.state)[:, used]
     moment, weight, left = _solve(shown[used], lambda m: expected(m)[used], own, largest)
 
     def readings(record: Record) -> Array:
@@ -226,7 +257,8 @@ def _find(
         return (torques - steady_mean(torques)) @ weight
 
     there = _Explained.of(model, loaded, moment, pair.arm)
-    by = (there.design() - design_zero)[:, used] @ weight
+    design = there.design()
+    by = (design - zero.design)[:, used] @ weight
     step = _step(moment, largest)
     slope = (expected(moment + step) - expected(moment)) / step
     remains = loaded.torques - steady_mean(loaded.torques) + shown - expected(moment)
@@ -237,14 +269,18 @@ def _find(
     independent = max(1.0, used.sum() / ROWS_PER_INDEPENDENT_ROW)
     fitted = np.linalg.qr(np.vstack([slope[used], own]).T)[0]
 
-    def noise(record: Record) -> float:
-        return scatter_of_mean(_at(record.torques, loaded.count)[:, used], fitted)
-
     # What cycles scatter is in their readings, and is no error of the model; but it hides one of
     # the size of its own chance deviation.
-    scattered = noise(loaded) + sum(map(noise, pair.unloaded)) / len(pair.unloaded) ** 2
+    own_scatter = _scattered(loaded, loaded, fitted)
+    of_zeros = [_scattered(record, loaded, fitted) for record in pair.unloaded]
+    scattered = own_scatter + sum(of_zeros) / len(of_zeros) ** 2
     hidden = scattered * math.sqrt(2 / independent)
     misfit = math.sqrt(max(rms**2 - scattered, 0.0) + hidden)
+    remaining = there.left()[used]
+    parts = (
+        Left(zero.left[used], zero.design[:, used], zero.own[:, used], zero.scattered),
+        Left(remaining, design[:, used], np.vstack([slope[used], own]), own_scatter),
+    )
     return _Found(
         moment=moment,
         cycles=moment + readings(loaded),
@@ -252,6 +288,8 @@ def _find(
         at_angle=moment + shown_at[:-1] / shown_at[-1],
         model_u=math.sqrt(max(0.0, float(by @ model.covariance @ by))),
         misfit_u=misfit * float(np.linalg.norm(weight)) * math.sqrt(used.sum() / independent),
+        another=another_power_up(model, parts),
+        ripple_u=ripple_u(model, by),
     )
 
 

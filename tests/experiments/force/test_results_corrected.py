@@ -97,11 +97,18 @@ def test_a_correction_adds_its_u_to_that_of_the_thesis_reading():
         corrected.load_outcome(base, thesis, np.array([0.0, np.nan, np.nan, np.nan]), thesis)
 
 
-def reading(cycles, moment=0.05):
+def reading(cycles, moment=0.05, another=0.0):
     rng = np.random.default_rng(cycles)
     quantity = combined(moment, "N m", [error_line("scatter", 2e-4, "N m", 6)])
     own = moment + 1e-3 * rng.standard_normal(cycles)
-    return LoadReading(quantity, 2e-4, own, own * 1.01)
+    return LoadReading(quantity, 2e-4, own, own * 1.01, another)
+
+
+def test_a_note_names_another_power_up():
+    unread = InsufficientDataError("not read")
+    assert not list(corrected._power_up_notes([unread, reading(7, another=0.4)]))
+    (note,) = corrected._power_up_notes([unread, reading(7), reading(7, another=0.6)])
+    assert "without switching it off" in note
 
 
 def test_a_whole_stroke_is_stated_at_the_angle_of_the_reading():

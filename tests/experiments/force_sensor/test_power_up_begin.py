@@ -8,9 +8,9 @@ from numpy.testing import assert_allclose
 from scipy.signal import butter, lfilter
 
 from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, STATES, TORQUE
+from rigtool.experiments.force_model.drawn_ripple import FOLLOWED, learned_ripple, sized_waves
 from rigtool.experiments.force_model.model import ROTOR_ORDERS, Kind, Term
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
-from rigtool.experiments.force_sensor.drawn_ripple import FOLLOWED, learned_ripple, sized_waves
 from rigtool.experiments.force_sensor.lasting_contact import LASTING, LASTS
 from rigtool.experiments.force_sensor.power_up import PowerUp
 from rigtool.experiments.force_sensor.ripple_rows import (

@@ -8,7 +8,8 @@ import pytest
 
 from rigtool.experiments.friction.holds import Holds
 from rigtool.experiments.friction.offset import Offset
-from rigtool.experiments.friction.results import Findings, Scale, add_radial_friction
+from rigtool.experiments.friction.results import Findings, Scale
+from rigtool.experiments.friction.results_radial import add_radial_friction
 from rigtool.quantity import Quantity
 
 

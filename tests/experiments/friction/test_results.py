@@ -19,7 +19,6 @@ from rigtool.experiments.friction.results import (
     add_breakaway,
     add_flatness,
     add_friction,
-    add_radial_breakaway,
     add_static_friction,
     breakaway_table,
     holds_table,
@@ -27,6 +26,7 @@ from rigtool.experiments.friction.results import (
     ramp_table,
     torque_speed_table,
 )
+from rigtool.experiments.friction.results_radial import add_radial_breakaway
 from rigtool.experiments.friction.sweep import TorqueSpeed
 from rigtool.quantity import combined, error_line
 

@@ -28,14 +28,15 @@ def strokes(
     tip_friction=TIP_FRICTION,
     scatter=0.0,
     ripple=0.004,
+    phase=0.0,
     seed=1,
     drift=0.0,
 ):
     """Return strokes under a load, N m, at an output speed in rev/s, laid over each other.
 
     Friction is 10 mN m without load, `friction` times the load more; the torque constant varies
-    with the rotor's angle by `ripple`; `scatter` N m is that of each cycle's load. The record
-    states its load only where it is `known`.
+    with the rotor's angle by `ripple`, turned by `phase`; `scatter` N m is that of each cycle's
+    load. The record states its load only where it is `known`.
     """
     rotor_speed = 2 * math.pi * speed * KNOWN.angle_ratio
     span = math.pi * KNOWN.angle_ratio
@@ -64,7 +65,7 @@ def strokes(
     output = np.interp(np.mod(time / stroke, 2.0), phases, np.append(at_output, at_output[0]))
     number = np.floor(time / stroke / 2).astype(int)
     output += (scatter * np.random.default_rng(seed).standard_normal(number.max() + 1))[number]
-    gain = 1 + ripple * np.sin(angle + 0.5) + ripple * np.cos(2 * angle)
+    gain = 1 + ripple * np.sin(angle + 0.5 + phase) + ripple * np.cos(2 * angle + phase)
     acceleration = np.gradient(np.gradient(angle, STEP), STEP)
     current = (output / KNOWN.torque_factor / gain + KNOWN.inertia * acceleration) / CONSTANT
     stated = moment if known else 0.0

@@ -106,6 +106,26 @@ def test_a_load_left_out_of_the_learning_is_read(sliding, unloaded):
     assert less.covariance[own, own] > sliding.learned.covariance[own, own]
 
 
+def of_another_power_up(found):
+    (line,) = [one for one in found.quantity.budget if one.name == "ripple of another power-up"]
+    return line.u
+
+
+def test_ripple_of_the_learned_power_up_makes_no_reading_wider(sliding, unloaded):
+    found = read(sliding.learned, compared(unloaded, 0.05))
+    assert found.another < 1e-3
+    assert of_another_power_up(found) < 0.2 * found.quantity.u
+
+
+@pytest.mark.parametrize("phase", [1.5, 3.0, 4.5])
+def test_ripple_of_another_power_up_is_seen_and_uncertain(sliding, unloaded, phase):
+    other = {0.5: (strokes(0.0, 0.5, scatter=SCATTER, seed=90, phase=phase),)}
+    found = read(sliding.learned, compared(other, 0.05, phase=phase))
+    assert found.another > 0.99
+    assert found.moment == pytest.approx(0.05, abs=2 * found.quantity.u)
+    assert 0.001 * 0.05 < of_another_power_up(found) < 0.02 * 0.05
+
+
 @pytest.mark.parametrize("load", [0.001, 0.01, 0.03, 0.04, 0.05, 0.06])
 def test_a_load_that_swings_near_its_resonance_is_found(load):
     """At 50 mN m a search from the mean torque alone ends at 14 mN m, which fits less well."""
@@ -135,6 +155,7 @@ def test_the_budget_holds_scatter_zero_disturbance_and_misfit(sliding, unloaded)
         "reading without load",
         "disturbance as learned",
         "what the disturbance leaves",
+        "ripple of another power-up",
     }
     total = math.hypot(*(line.u for line in budget.values()))
     assert found.quantity.u == pytest.approx(total, rel=1e-9, abs=0)

@@ -8,10 +8,10 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal
 
+from rigtool.experiments.force_model.drawn_ripple import FADES, SIZES, learned_ripple
 from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import ROTOR_ORDERS, Kind, Known, Shape, Term
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
-from rigtool.experiments.force_sensor.drawn_ripple import FADES, SIZES, learned_ripple
 
 FIRST = len(SLIDING_PARAMETERS)
 NOISE, LEVEL, COUNT = 0.02e-3, 0.3e-3, 40

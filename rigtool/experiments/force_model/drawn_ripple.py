@@ -1,8 +1,8 @@
 """What an amplifier may draw at another power-up, from the ripple that was learned.
 
-The orders of which most is expected, in the mean square, are followed (`power_up`). What of the
-ripple is not is in the variance alone: the other orders c, and what grows with the current,
-(g + h |i|) kT i. At another power-up these are off by
+The orders of which most is expected, in the mean square, are followed (`force_sensor.power_up`).
+What of the ripple is not is in the variance alone: the other orders c, and what grows with the
+current, (g + h |i|) kT i. At another power-up these are off by
 
     n^2 sum over orders of (C^2 + (kT i)^2 A(i)^2) / (1 + (order b' tau)^2),
     C^2 = |c|^2, 0 where followed,   A(i)^2 = |g + h |i||^2,
@@ -62,9 +62,9 @@ def learned_ripple(model: ForceModel) -> LearnedRipple:
         found = (one @ learned.coefficient) * (other @ learned.coefficient)
         return found.reshape(-1, 2).sum(axis=1)
 
-    still = _sums(learned, *SIZED)
+    still = sums(learned, *SIZED)
     mean, variance = sized_waves(learned)
-    gain, bent = _sums(learned, Kind.GAIN_RIPPLE), _sums(learned, Kind.SQUARE_RIPPLE)
+    gain, bent = sums(learned, Kind.GAIN_RIPPLE), sums(learned, Kind.SQUARE_RIPPLE)
     drawn = (mean**2 + variance).reshape(-1, 2).sum(axis=1) / 2
     other = squares(still, still)
     strongest = np.sort(np.argsort(-drawn, kind="stable")[:FOLLOWED])
@@ -78,7 +78,7 @@ def learned_ripple(model: ForceModel) -> LearnedRipple:
     )
 
 
-def _sums(learned: LearnedModel, *kinds: Kind) -> Array:
+def sums(learned: LearnedModel, *kinds: Kind) -> Array:
     """Return what sums the terms of some kinds to cosine and sine of each order (28, t)."""
     sums = np.zeros((2 * len(ROTOR_ORDERS), len(learned.terms)))
     for number, term in enumerate(learned.terms):
@@ -108,7 +108,7 @@ def sized_waves(learned: LearnedModel) -> tuple[Array, Array]:
     c, p = learned.coefficient[used] / spread, learned.covariance[first:, first:][used][:, used]
     shown, basis = np.linalg.eigh(p / np.outer(spread, spread))
     p = (basis * np.clip(shown, 0.0, 1.0)) @ basis.T  # nothing learned is less sure than before
-    scaled = _sums(learned, *SIZED)[:, used] * spread
+    scaled = sums(learned, *SIZED)[:, used] * spread
     ratio = _priors(terms) / spread
     d = ratio**-2 - 1
     left = np.eye(len(terms)) + p * d[:, None, :]
