@@ -127,6 +127,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     coefficient = _about(stairs)
     hypotheses = weigh_hypotheses(stairs, coefficient, trend)
     stairs, best = hypotheses.means.stairs, hypotheses.weighed.best
+    coefficient = hypotheses.means.coefficient
     tau, probable = hypotheses.time_constants()
     warm, range_u = mean_winding(stairs, tau, probable, trend)
     given = stairs, warm, hypotheses.means.friction_of_each(best), coefficient, rise

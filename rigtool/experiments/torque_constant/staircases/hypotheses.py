@@ -176,7 +176,7 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
         best, lengths = tried.best(FEWEST_RESIDUALS), _likely(means, tried)
         doubt = means.find_asymmetry(best)
         ways = _find_arm(means, stairs, best, every)
-    means.winding = with_torque(
+    means.winding, means.coefficient = with_torque(
         means.winding, means.stairs, means.friction_of_each(best), coefficient
     )
     found = weighed(means, ways, doubt, lengths)

@@ -45,9 +45,9 @@ TRIED = 61
 SENSOR_LAGS = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0)
 """Lags of a thermometer behind the housing, s."""
 
-CAPACITIES = np.geomspace(0.02, 0.5, 8)
-"""The winding's part of the motor's heat capacity h, from motors whose housing is a part of a
-machine to those of little but copper; 0.06 to 0.1 by data sheets of small motors."""
+CAPACITIES = np.geomspace(0.03, 0.3, 6)
+"""The winding's part of the motor's heat capacity h, from motors in a heavy body to those of little
+but copper (assumed, even in its logarithm)."""
 
 FEWEST_RESIDUALS = 4.0
 """Fewest independent residuals that are assumed."""
@@ -153,39 +153,45 @@ def _late(degc: Array, time: Array, tau: Array) -> Array:
 
 def with_torque(
     thermometer: WindingTime, stairs: Stairs, friction: tuple[Array, ...], coefficient: float
-) -> WindingTime:
-    """Return tau by the thermometer and by the torque, whose change with temperature is tried.
+) -> tuple[WindingTime, float]:
+    """Return tau by the thermometer and by the torque, whose change with temperature is tried, and
+    c of (1), 1/K.
 
-    `friction` has columns of each staircase (m, p), `coefficient` is c of (1), about; it is found
-    again with friction. A single temperature shows nothing.
+    `friction` has columns of each staircase (m, p), `coefficient` is c by lines through the
+    staircases: friction makes these too flat, and a housing that cools is colder than its winding.
+    A single temperature shows nothing.
     """
     degc = mean_of(stairs.temperature, stairs.weight)
     rise = degc - degc.mean()
     if np.ptp(degc) <= SAME_TEMPERATURE:
-        return thermometer
+        return thermometer, coefficient
     trend, used = rise / (rise @ rise), np.mean(stairs.weight, axis=0) > 0
 
-    def fit(tau: float, c: float) -> tuple[LeastSquares, Array]:
+    def fit(tau: float, c: float, steady: bool = False) -> tuple[LeastSquares, Array]:
         heat, warmth = winding(stairs, tau)
         mean, size = mean_of(warmth, stairs.weight), (1 + c * rise)[:, None]
         current = stairs.current * (1 + c / size * (warmth - mean[:, None]))
         shared = [stairs.last_step, stairs.current * heat / size]
         if friction:
             ripple = stairs.courses.ripple_steps() * stairs.weight
-            shared += [friction[0], rise[:, None] * friction[0], ripple]
+            shared += [friction[0], ripple] + [rise[:, None] * friction[0]] * (not steady)
         return LeastSquares(stairs.torque, [current, stairs.weight, *friction[1:]], shared), mean
 
-    tau = np.exp(thermometer.logarithm)
-    first, mean = fit(float(tau[int(np.argmax(thermometer.likelihood))]), coefficient)
-    slope = first.own[:, 0]
-    c = float((trend @ slope) / (trend @ mean) / slope.mean())
-    residuals = [(trend @ fit(each, c)[0].residual)[used] for each in tau.tolist()]
+    def changed(tau: float, c: float) -> float:
+        found, degc = fit(tau, c, steady=True)
+        return float((trend @ found.own[:, 0]) / (trend @ degc) / found.own[:, 0].mean())
+
+    tau = np.exp(thermometer.logarithm).tolist()
+    c = changed(tau[int(np.argmax(thermometer.likelihood))], coefficient)
+    fits = [fit(each, c)[0] for each in tau]
+    residuals = [(trend @ each.residual)[used] for each in fits]
     square = np.sum(np.stack(residuals) ** 2, axis=1) + TINY
     best = int(np.argmin(square))
     count = independent_samples(residuals[best], np.full(int(used.sum()), True), 1)
-    count = max(count - first.own.shape[1] - first.shared.size, FEWEST_RESIDUALS)
+    count = max(count - fits[0].own.shape[1] - fits[0].shared.size, FEWEST_RESIDUALS)
     likelihood = thermometer.likelihood * (square / square[best]) ** (-count / 2)
-    return replace(thermometer, likelihood=likelihood / likelihood.max())
+    both = replace(thermometer, likelihood=likelihood / likelihood.max())
+    return both, changed(tau[int(np.argmax(likelihood))], c)
 
 
 def mean_winding(

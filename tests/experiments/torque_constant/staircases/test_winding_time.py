@@ -106,7 +106,9 @@ def test_torque_that_follows_the_winding_shows_how_late_it_does():
         signals = {name: np.concatenate([one[name], other[name]]) for name in one}
         every = plateaus_of_set_point(**signals, arm_length=0.54, settle_time=hot.settle_time)
         blind = WindingTime(np.log(np.geomspace(2.0, 300.0, TRIED)), np.ones(TRIED))
-        mean, u = mean_and_u(with_torque(blind, arrange(every), (), 1.2 * hot.coefficient))
+        shown, about = with_torque(blind, arrange(every), (), 1.2 * hot.coefficient)
+        assert about == pytest.approx(hot.coefficient / (1 + hot.coefficient * 15), rel=0.01)
+        mean, u = mean_and_u(shown)
         assert abs(mean - np.log(hot.time_constant)) < 2.5 * u
         assert u < 0.4
         found = calibrate(
@@ -124,7 +126,7 @@ def test_torque_that_follows_the_winding_shows_how_late_it_does():
 def test_a_single_temperature_shows_no_time_constant_in_the_torque():
     stairs, blind = arrange(plateaus(Bench(**SHORTER))), WindingTime(np.zeros(1), np.ones(1))
     alike = np.full_like(stairs.temperature, 20.0)
-    assert with_torque(blind, replace(stairs, temperature=alike), (), -1e-3) is blind
+    assert with_torque(blind, replace(stairs, temperature=alike), (), -1e-3) == (blind, -1e-3)
 
 
 def test_the_loss_of_a_minute_follows_from_a_time_constant_that_shows():
