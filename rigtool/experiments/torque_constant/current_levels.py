@@ -28,7 +28,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.current_points import Points
-from rigtool.experiments.torque_constant.staircases.fit import SAME_TEMPERATURE
+from rigtool.experiments.torque_constant.staircases.model import SAME_TEMPERATURE
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.residual_covariance import independent_samples
 from rigtool.quantity import REFERENCE_DEGC

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.torque_constant.staircases.fit import SAME_TEMPERATURE
+from rigtool.experiments.torque_constant.staircases.model import SAME_TEMPERATURE
 from rigtool.experiments.torque_constant.temperature_fit import MODEL_OF_FRICTION, Calibration
 from rigtool.quantity import (
     CURRENT_READING,

@@ -32,7 +32,12 @@ from rigtool.experiments.torque_constant.staircases.fit import (
     fit_staircases,
 )
 from rigtool.experiments.torque_constant.staircases.mean_staircases import MeanStaircases
-from rigtool.experiments.torque_constant.staircases.model import HEATING_TIME, Common, arrange
+from rigtool.experiments.torque_constant.staircases.model import (
+    HEATING_TIME,
+    Common,
+    arrange,
+    winding,
+)
 from rigtool.experiments.torque_constant.staircases.plateaus import (
     Linearity,
     amplifier_linearity,
@@ -105,8 +110,9 @@ def test_derivatives_are_those_of_gtc():
         for name, line in inputs.items()
     }
     every = dict(numbers)
-    own = ("staircases", "slope of the staircases", "friction and resolution in the slope")
-    value, slope, trend = (numbers.pop(name) for name in own)
+    own = ("friction and resolution in the slope", "lag of the winding in the slope")
+    value, slope = (numbers.pop(name) for name in ("staircases", "slope of the staircases"))
+    more = [numbers.pop(name) for name in own]
     off = numbers.pop("thermometer")
     gain = GTC.constant(1.0)
     for number in numbers.values():
@@ -115,7 +121,7 @@ def test_derivatives_are_those_of_gtc():
     # an error of the value is also one of the slope, as is a gain that grows with the force
     slope = slope + _fit_temperature(found.slopes).tilt * (value - value.x)
     grows = numbers["gauge linearity"] / GTC.value(numbers["gauge linearity"])
-    slope = grows * (slope + trend)
+    slope = grows * sum(more, slope)
 
     def at(temperature):
         return gain * (value + slope * (temperature - centre + off))
@@ -223,7 +229,9 @@ def test_scatter_of_a_change_with_temperature_is_that_of_noise_on_the_plateaus()
     trend = rise / (rise @ rise)
     common = Common(30e-3 * bench.stiffness, 1.0, None, bench.time_constant)
     friction = MeanStaircases(stairs, bench.coefficient, trend).friction_of_each(common)
-    solution = _solve(stairs, bench.time_constant, friction, bench.coefficient, rise)
+    solution = _solve(
+        stairs, winding(stairs, bench.time_constant), friction, bench.coefficient, rise
+    )
     noise = (
         2e-4
         * 0.54
@@ -257,7 +265,7 @@ def test_friction_changes_with_the_temperature_where_the_staircases_show_it():
         size = (1 + growth * rise / 30)[:, None]
         level = (0.05 * (1 - 1e-3 * rise))[:, None] * stairs.current
         own = replace(stairs, torque=level + 2e-3 * size * loop + noise)
-        given = own, 20.0, (loop, begun), -1e-3, rise
+        given = own, winding(own, 20.0), (loop, begun), -1e-3, rise
         both = _solve(*given), _solve(*given, steady=True)
         probability = _friction_changes(own, *both, trend)
         values = [trend @ each.slope for each in both]
@@ -337,17 +345,17 @@ def test_what_a_step_leaves_of_lagging_ripple_is_no_friction():
         temperature=0 * torque + 20.0,
         courses=courses,
     )
-    solution = _solve(stairs, 20.0, (-loop, begun), 0.0, np.zeros(len(turn)))
+    solution = _solve(stairs, winding(stairs, 20.0), (-loop, begun), 0.0, np.zeros(len(turn)))
     weight = turn / (turn @ turn)
     assert_allclose(weight @ solution.slope, 0.05, rtol=1e-3)
     blind = replace(stairs, courses=replace(courses, score=0 * courses.score))
-    without = _solve(blind, 20.0, (-loop, begun), 0.0, np.zeros(len(turn)))
+    without = _solve(blind, winding(blind, 20.0), (-loop, begun), 0.0, np.zeros(len(turn)))
     assert np.abs(solution.fit.residual).max() < 0.05 * np.abs(without.fit.residual).max()
     # what noise gives the slopes in proportion to the ripple is a common factor of it, and in its u
     noise = 1e-4 * np.random.default_rng(2).standard_normal((300, *torque.shape))
     scattered = np.std([weight @ solution.fit.solve(each)[0][:, 0] for each in noise])
     noisy = replace(stairs, torque=torque + noise[0])
-    found = _solve(noisy, 20.0, (-loop, begun), 0.0, np.zeros(len(turn)))
+    found = _solve(noisy, winding(noisy, 20.0), (-loop, begun), 0.0, np.zeros(len(turn)))
     both = np.hypot(_trend_scatter(noisy, found, weight, 0.0), np.linalg.norm(weight * found.u))
     assert_allclose(both, scattered, rtol=0.3)
 
@@ -801,7 +809,7 @@ def test_torque_scales_the_constant_and_nothing_else(factor, seed):
     )
     scaled = (
         "slope first first_u zero zero_u u transition rising falling hysteresis hysteresis_u "
-        "trend_u"
+        "trend_u lag_u"
     )
     losses = (found.slopes.lasting_heating for found in (one, other))
     (a, a_u), (b, b_u) = ((loss.value, loss.u) for loss in losses)

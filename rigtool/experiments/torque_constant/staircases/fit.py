@@ -27,10 +27,10 @@ from rigtool.experiments.torque_constant.staircases.levels import (
     straight_slope,
 )
 from rigtool.experiments.torque_constant.staircases.model import (
+    SAME_TEMPERATURE,
     Stairs,
     arrange,
     mean_of,
-    winding,
 )
 from rigtool.experiments.torque_constant.staircases.plateaus import Plateaus
 from rigtool.experiments.torque_constant.staircases.refusals import (
@@ -39,12 +39,10 @@ from rigtool.experiments.torque_constant.staircases.refusals import (
     require_shown,
     require_straight,
 )
+from rigtool.experiments.torque_constant.staircases.winding_time import mean_winding
 from rigtool.numerics.arrays import TINY, Array
 from rigtool.numerics.residual_covariance import independent_samples, long_run_covariance
 from rigtool.quantity import Quantity
-
-SAME_TEMPERATURE = 2.0
-"""Range of staircases that count as one temperature, K."""
 
 COARSE = 1e-3
 """Relative uncertainty of a slope by the gauge's rounding from which hypotheses are tried on that
@@ -68,9 +66,11 @@ class Slopes:
     relative part by which friction changes a straight line's slope; `resolution_u` that from the
     resolution of the gauge,
     `rounding` (places, m) in N m/A what it adds to each slope with the gauge's zero at some places
-    within its step; `trend_u` in N m/(A K) is what both give a change with temperature, `ripple_u`
+    within its step; `trend_u` in N m/(A K) is what both give a change with temperature, `lag_u`
+    what tau gives it, as the winding is warmer than a housing that cools; `ripple_u`
     what friction's scatter gives the size of the ripple, relative. `transition` is s of (1) in N m
-    (None where no friction shows), `exponent` that of its law, `time_constant` tau in s. `level`
+    (None where no friction shows), `exponent` that of its law, `time_constant` the mean of tau in
+    s, on a logarithmic scale. `level`
     (l,) in A, `rising` and `falling` (l,) in N m: torque minus the straight line, mean over
     staircases; `hysteresis` in N m: falling minus rising in the middle of the span, `hysteresis_u`
     its standard uncertainty with `hysteresis_dof`.
@@ -97,6 +97,7 @@ class Slopes:
     resolution_u: float
     rounding: Array
     trend_u: float
+    lag_u: float
     ripple_u: float
     transition: float | None
     exponent: float
@@ -126,7 +127,10 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     coefficient = _about(stairs)
     hypotheses = weigh_hypotheses(stairs, coefficient, trend)
     stairs, best = hypotheses.means.stairs, hypotheses.weighed.best
-    given = stairs, best.time_constant, hypotheses.means.friction_of_each(best), coefficient, rise
+    coefficient = hypotheses.means.coefficient
+    tau, probable = hypotheses.time_constants()
+    warm, range_u = mean_winding(stairs, tau, probable, trend)
+    given = stairs, warm, hypotheses.means.friction_of_each(best), coefficient, rise
     if given[2]:  # friction of each begins with its own, which shows in the first solution
         begins = _begins(stairs, _solve(*given).fit)
         friction = hypotheses.means.friction_of_each(best, begins)
@@ -182,10 +186,11 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         resolution_u=max(resolution_u, moved_u) / constant,
         rounding=rounding,
         trend_u=math.hypot(trend_u, trend_resolution_u),
+        lag_u=abs(moved) * range_u,
         ripple_u=_trend_scatter(stairs, solution, in_ripple, 0.0) / abs(constant),
         transition=best.transition,
         exponent=best.exponent,
-        time_constant=best.time_constant,
+        time_constant=math.exp(float(probable @ np.log(tau))),
         level=level,
         rising=rising,
         falling=falling,
@@ -224,14 +229,14 @@ class _Solution:
 
 def _solve(
     stairs: Stairs,
-    time_constant: float,
+    warm: tuple[Array, Array],
     friction: tuple[Array, ...],
     coefficient: float,
     rise: Array,
     *,
     steady: bool = False,
 ) -> _Solution:
-    """Solve (1), linear in all that is left, for all staircases.
+    """Solve (1), linear in all that is left, for all staircases with `warm` windings.
 
     Each has a slope, a zero and a state of the friction at its beginning of its own; what a
     step leaves behind and friction, with columns `friction` (m, p), are common to all. Friction may
@@ -239,7 +244,7 @@ def _solve(
     step leaves of ripple that lags is common to all, too, in proportion to that step of the ripple:
     it would pass for friction that grows with the ripple.
     """
-    heat, warmth = winding(stairs, time_constant)
+    heat, warmth = warm
     temperature = mean_of(warmth, stairs.weight)
     # The loss of the constant by a kelvin is the same at all temperatures, not its relative loss.
     size = (1 + coefficient * rise)[:, None]

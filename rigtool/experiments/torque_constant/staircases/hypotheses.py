@@ -47,7 +47,10 @@ from rigtool.experiments.torque_constant.staircases.mean_staircases import (
 )
 from rigtool.experiments.torque_constant.staircases.model import Common, Stairs
 from rigtool.experiments.torque_constant.staircases.swings import longest_lag
-from rigtool.experiments.torque_constant.staircases.winding_time import FEWEST_RESIDUALS
+from rigtool.experiments.torque_constant.staircases.winding_time import (
+    FEWEST_RESIDUALS,
+    with_torque,
+)
 from rigtool.numerics.arrays import TINY, Array
 from rigtool.quantity import Quantity, combined, error_line
 
@@ -97,7 +100,8 @@ SHORTER_LAG = 12.0
 class Weighed:
     """Hypotheses (n,), the `best` of them, and what gives each its probability.
 
-    `volume` (n,) is the part of the grid that each represents, `square` (n,) is Q, `independent`
+    `logarithm` (n,) is that of tau, `volume` (n,) the part of the grid that each represents,
+    `square` (n,) is Q, `independent`
     the number of independent residuals. `slope` (n, 3) has the mean of the torque constants, N m/A,
     their change with temperature, N m/(A K), and that if friction does not change. `loss` (k, 3)
     has a loss by heat of either sign, within `HEATING_TIME` over the square of the current, 1/A2,
@@ -106,6 +110,7 @@ class Weighed:
     """
 
     best: Common
+    logarithm: Array
     volume: Array
     square: Array
     independent: float
@@ -142,6 +147,13 @@ class Hypotheses:
     drift: float
     steady_drift: float
 
+    def time_constants(self) -> tuple[Array, Array]:
+        """Return all tau that are likely (k,), s, and their probabilities."""
+        logarithm, which = np.unique(self.weighed.logarithm, return_inverse=True)
+        probable = np.bincount(which, weights=self.weighed.probable())
+        likely = probable > NEGLIGIBLE
+        return np.exp(logarithm[likely]), probable[likely] / probable[likely].sum()
+
 
 def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypotheses:
     """Try all hypotheses; `coefficient` is c of (1), 1/K.
@@ -164,6 +176,9 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
         best, lengths = tried.best(FEWEST_RESIDUALS), _likely(means, tried)
         doubt = means.find_asymmetry(best)
         ways = _find_arm(means, stairs, best, every)
+    means.winding, means.coefficient = with_torque(
+        means.winding, means.stairs, means.friction_of_each(best), coefficient
+    )
     found = weighed(means, ways, doubt, lengths)
     means.move_arm(found.best)
     probable = found.probable()
@@ -206,7 +221,8 @@ def weighed(
     warmed = tried.volume * tried.warms
     volume = warmed[:, None] * np.array([1.0, shows])
     slope, variance = (each.reshape(-1, each.shape[-1]) for each in (tried.slope, tried.variance))
-    own = volume.ravel(), tried.square.ravel(), count, slope, variance
+    logarithm = np.repeat(tried.place[:, TAU], 2)
+    own = logarithm, volume.ravel(), tried.square.ravel(), count, slope, variance
     return Weighed(tried.best(count), *own, warmed, tried.loss)
 
 

@@ -64,7 +64,7 @@ class MeanStaircases:
     """
 
     def __init__(self, stairs: Stairs, coefficient: float, trend: Array) -> None:
-        self.stairs, self._coefficient = stairs, coefficient
+        self.stairs, self.coefficient = stairs, coefficient
         self.winding = winding_time(stairs)
         self.arm: Arm | None = None
         self.asymmetry = 0.0
@@ -88,7 +88,7 @@ class MeanStaircases:
         """Return current, warmed, and its loss by heat, (2, g, p)."""
         heat, warmth = winding(self.stairs, time_constant)
         drift = warmth - mean_of(warmth, self.stairs.weight)[:, None]
-        current = self.stairs.current * (1 + self._coefficient * drift)
+        current = self.stairs.current * (1 + self.coefficient * drift)
         return self._mean(current), self._mean(current * heat)
 
     def _ways(self, lags: Sequence[float | None]) -> list[Array]:

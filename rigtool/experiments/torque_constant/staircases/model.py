@@ -35,6 +35,9 @@ from rigtool.numerics.compiled import compiled
 COPPER_COEFFICIENT = 3.93e-3
 """Temperature coefficient of a copper winding's resistance at 20 degC, 1/K (IEC 60028)."""
 
+SAME_TEMPERATURE = 2.0
+"""Range of staircases that count as one temperature, K."""
+
 HEATING_TIME = 60.0
 """Time for which a current flows whose heat is stated, s."""
 

@@ -1,27 +1,39 @@
-"""Time constant tau of the winding, from a thermometer on the housing.
+"""Time constant tau of the winding, from a thermometer on the housing and from the torque.
 
 Heat that leaves the winding warms the housing. That takes it from the room's cooling: its
 temperature T in a staircase is
 
-    T = a + b t - integral of T dt / tau_h + q r W(t),   W = integral of w dt,   q >= 0
+    T = a + b t - integral of T dt / tau_h + q r W(t) - h L(t),   W = integral of w dt,   q >= 0
 
 with a and b of each staircase, w the heat in the winding of (1) in
 `rigtool.experiments.torque_constant.staircases.model`, and r the heat that the current brings in
-each. The size q of the warming depends on the housing; the shape of W shows tau. A sensor follows
-the housing with a lag, whose values are averaged over. The winding follows the housing as that
-warms: tau comes out short by the ratio of their heat capacities, which nothing else shows. The
-probability of tau is in proportion to Q^(-n/2), with what is left of n independent residuals as sum
-of squares Q (A. Gelman et al., Bayesian Data Analysis, 3rd ed., 2013, section 3.2).
+each. The size q of the warming depends on the housing; the shape of W shows tau. L is by how much
+the winding lags behind T, which takes heat, too: h is the winding's part of the motor's heat
+capacity. Without it, heat from a winding that cools would pass for the current's. Values of h are
+averaged over, and of the lag with which a sensor follows the housing.
+
+The torque shows tau as well: a motor that cools at 50 degC and not at 20 degC has a winding that
+does so later, by which its constant changes within the staircases. The probability of tau is in
+proportion to Q^(-n/2), with what is left of n independent residuals as sum of squares Q
+(A. Gelman et al., Bayesian Data Analysis, 3rd ed., 2013, section 3.2).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rigtool.experiments.torque_constant.staircases.model import COPPER_COEFFICIENT, Stairs
-from rigtool.numerics.arrays import Array
+from rigtool.experiments.torque_constant.staircases.least_squares import LeastSquares
+from rigtool.experiments.torque_constant.staircases.model import (
+    COPPER_COEFFICIENT,
+    SAME_TEMPERATURE,
+    Stairs,
+    mean_of,
+    winding,
+)
+from rigtool.numerics.arrays import TINY, Array
 from rigtool.numerics.residual_covariance import independent_samples
 
 SHORTEST_TIME_CONSTANT, LONGEST_TIME_CONSTANT = 2.0, 300.0
@@ -32,6 +44,10 @@ TRIED = 61
 
 SENSOR_LAGS = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0)
 """Lags of a thermometer behind the housing, s."""
+
+CAPACITIES = np.geomspace(0.03, 0.3, 6)
+"""The winding's part of the motor's heat capacity h, from motors in a heavy body to those of little
+but copper (assumed, even in its logarithm)."""
 
 FEWEST_RESIDUALS = 4.0
 """Fewest independent residuals that are assumed."""
@@ -108,14 +124,90 @@ def _likelihood(stairs: Stairs, those: Array, tau: Array) -> Array:
     warming[:, :, 0] = _behind(flown, middle, np.array(SENSOR_LAGS)[:, None])
     shape = left(warming.reshape(*warming.shape[:2], -1))
     shape /= np.sqrt(np.sum(shape**2, axis=2, keepdims=True))
-    size = np.maximum(shape @ shown, 0.0)
-    square = shown @ shown - size**2 + len(shown) * ROUNDING**2
-    best = np.unravel_index(int(np.argmin(square)), square.shape)
-    residual = shown - size[best] * shape[best]
+    cold = _best_of(shown[None], shape)[1].reshape(rows.shape)
+    lags = left(_late(rows - cold, middle, tau).reshape(len(tau), -1))
+    rest = shown + CAPACITIES[:, None, None, None] * lags
+    square, residual = _best_of(rest, shape)
     count = independent_samples(residual, np.full(len(residual), True), 1)
-    count = max(count - free.shape[1] - 1, FEWEST_RESIDUALS)
-    likelihood: Array = np.mean((square / square[best]) ** (-count / 2), axis=0)
+    count = max(count - free.shape[1] - 2, FEWEST_RESIDUALS)
+    likelihood: Array = np.mean((square / square.min()) ** (-count / 2), axis=(0, 1))
     return likelihood
+
+
+def _best_of(shown: Array, shape: Array) -> tuple[Array, Array]:
+    """Return what each unit `shape` (..., p), by an amount of 0 or more, leaves of `shown`
+    (..., p) as sum of squares (...,), and the residual of the best (p,)."""
+    size = np.maximum(np.sum(shape * shown, axis=-1), 0.0)
+    square = np.sum(shown**2, axis=-1) - size**2 + shown.shape[-1] * ROUNDING**2
+    best = np.unravel_index(int(np.argmin(square)), square.shape)
+    residual = (shown - size[..., None] * shape)[best]
+    return square, residual
+
+
+def _late(degc: Array, time: Array, tau: Array) -> Array:
+    """Return by how much a winding lags behind temperatures (r, p) without noise, (n, r, p) K."""
+    begin = degc[:, :1] - (degc[:, 1:2] - degc[:, :1]) / (time[1] - time[0]) * time[0]
+    lags: Array = _behind(degc - begin, time, tau[:, None]) - (degc - begin)
+    return lags
+
+
+def with_torque(
+    thermometer: WindingTime, stairs: Stairs, friction: tuple[Array, ...], coefficient: float
+) -> tuple[WindingTime, float]:
+    """Return tau by the thermometer and by the torque, whose change with temperature is tried, and
+    c of (1), 1/K.
+
+    `friction` has columns of each staircase (m, p), `coefficient` is c by lines through the
+    staircases: friction makes these too flat, and a housing that cools is colder than its winding.
+    A single temperature shows nothing.
+    """
+    degc = mean_of(stairs.temperature, stairs.weight)
+    rise = degc - degc.mean()
+    if np.ptp(degc) <= SAME_TEMPERATURE:
+        return thermometer, coefficient
+    trend, used = rise / (rise @ rise), np.mean(stairs.weight, axis=0) > 0
+
+    def fit(tau: float, c: float, steady: bool = False) -> tuple[LeastSquares, Array]:
+        heat, warmth = winding(stairs, tau)
+        mean, size = mean_of(warmth, stairs.weight), (1 + c * rise)[:, None]
+        current = stairs.current * (1 + c / size * (warmth - mean[:, None]))
+        shared = [stairs.last_step, stairs.current * heat / size]
+        if friction:
+            ripple = stairs.courses.ripple_steps() * stairs.weight
+            shared += [friction[0], ripple] + [rise[:, None] * friction[0]] * (not steady)
+        return LeastSquares(stairs.torque, [current, stairs.weight, *friction[1:]], shared), mean
+
+    def changed(tau: float, c: float) -> float:
+        found, degc = fit(tau, c, steady=True)
+        return float((trend @ found.own[:, 0]) / (trend @ degc) / found.own[:, 0].mean())
+
+    tau = np.exp(thermometer.logarithm).tolist()
+    c = changed(tau[int(np.argmax(thermometer.likelihood))], coefficient)
+    fits = [fit(each, c)[0] for each in tau]
+    residuals = [(trend @ each.residual)[used] for each in fits]
+    square = np.sum(np.stack(residuals) ** 2, axis=1) + TINY
+    best = int(np.argmin(square))
+    count = independent_samples(residuals[best], np.full(int(used.sum()), True), 1)
+    count = max(count - fits[0].own.shape[1] - fits[0].shared.size, FEWEST_RESIDUALS)
+    likelihood = thermometer.likelihood * (square / square[best]) ** (-count / 2)
+    both = replace(thermometer, likelihood=likelihood / likelihood.max())
+    return both, changed(tau[int(np.argmax(likelihood))], c)
+
+
+def mean_winding(
+    stairs: Stairs, tau: Array, probable: Array, trend: Array
+) -> tuple[tuple[Array, Array], float]:
+    """Return heat in the winding, A2 s, and its temperature, degC, (m, p), as means over tau; and
+    the relative standard uncertainty of the range of temperatures.
+
+    `tau` (k,) in s has the probabilities `probable` (k,), `trend` (m,) combines the staircases.
+    """
+    each = [winding(stairs, one) for one in tau.tolist()]
+    heat, warmth = np.tensordot(probable, np.array(each), 1)
+    spans = np.array([trend @ mean_of(one, stairs.weight) for _, one in each])
+    span = float(probable @ spans)
+    spread = math.sqrt(float(probable @ (spans - span) ** 2))
+    return (heat, warmth), spread / max(abs(span), TINY)
 
 
 def _flown(power: Array, times: tuple[Array, Array, Array], tau: Array) -> Array:

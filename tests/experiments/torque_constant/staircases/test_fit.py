@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from rigtool.experiments.torque_constant.staircases import fit as fitted
 from rigtool.experiments.torque_constant.staircases.fit import (
     _about,
     _bend,
@@ -111,7 +110,7 @@ def test_lack_of_fit_is_what_scatter_and_rounding_do_not_explain():
     assert _lack_of_fit(stairs, solution, average, whole)[0] == 0
 
 
-def test_a_kelvin_of_heat_takes_as_much_of_the_constant_at_any_temperature(monkeypatch):
+def test_a_kelvin_of_heat_takes_as_much_of_the_constant_at_any_temperature():
     """Torques without noise, of a constant that falls along a line down to the winding's heat."""
     rise, coefficient, loss = np.array([-40.0, 0.0, 15.0, 25.0]), -4e-3, 2e-3
     heat = np.cumsum(CURRENT**2, axis=1) / P
@@ -123,8 +122,7 @@ def test_a_kelvin_of_heat_takes_as_much_of_the_constant_at_any_temperature(monke
         rotor_angle=QUARTERS,
         courses=SimpleNamespace(kind=np.arange(M)),
     )
-    monkeypatch.setattr(fitted, "winding", lambda *given: (heat, 20 + rise[:, None] * ONES))
-    found = _solve(stairs, 30.0, (), coefficient, rise)
+    found = _solve(stairs, (heat, 20 + rise[:, None] * ONES), (), coefficient, rise)
     np.testing.assert_allclose(found.fit.residual, 0.0, atol=1e-12)
     np.testing.assert_allclose(found.slope, 0.05 * (1 + coefficient * rise), rtol=1e-9)
     np.testing.assert_allclose(found.temperature, 20 + rise)

@@ -21,7 +21,7 @@ def weighed_from(loss, square, variance=0.0, independent=40.0):
     """Return hypotheses of which only the loss by heat is known."""
     own = np.column_stack(np.broadcast_arrays(loss, variance, square))
     unknown = np.full(len(loss), np.nan)
-    return Weighed(BEST, *[unknown] * 2, independent, *[unknown] * 2, np.ones(len(loss)), own)
+    return Weighed(BEST, *[unknown] * 3, independent, *[unknown] * 2, np.ones(len(loss)), own)
 
 
 @pytest.mark.parametrize("time_constant", [5.0, 30.0, 150.0])

@@ -173,13 +173,16 @@ def test_the_spread_is_that_of_constants_drawn_from_all_hypotheses(monkeypatch):
     square, variance = random.uniform(1.0, 1.1, 40), random.uniform(1.0, 4.0, (40, 3))
     unknown = np.full((40, 3), np.nan)
     own = square, 30.0, slope, variance
-    found = Weighed(None, random.uniform(size=40), *own, unknown[:, 0], unknown)
-    means = SimpleNamespace(dof=1, arm=None, move_arm=lambda best: None)
+    tau = np.tile([5.0, 20.0], 20)
+    found = Weighed(None, np.log(tau), random.uniform(size=40), *own, unknown[:, 0], unknown)
+    means = SimpleNamespace(dof=1, arm=None, winding=None, stairs=None)
+    means.move_arm = means.friction_of_each = lambda best: None
     monkeypatch.setattr(hypotheses, "MeanStaircases", lambda *given: means)
     monkeypatch.setattr(hypotheses, "ways_of", lambda stairs: [])
     monkeypatch.setattr(hypotheses, "_joined", lambda tried: SimpleNamespace(best=lambda n: None))
     monkeypatch.setattr(hypotheses, "_find_arm", lambda *given: [])
     monkeypatch.setattr(hypotheses, "weighed", lambda *given: found)
+    monkeypatch.setattr(hypotheses, "with_torque", lambda *given: (None, 0.0))
     shown = weigh_hypotheses(SimpleNamespace(), 0.0, np.zeros(1))
     one = random.choice(40, 400_000, p=found.probable())
     drawn = slope[one] + np.sqrt(variance[one]) * random.standard_normal((one.size, 3))
@@ -187,6 +190,9 @@ def test_the_spread_is_that_of_constants_drawn_from_all_hypotheses(monkeypatch):
     assert shown.constant == pytest.approx(drawn[:, 0].mean(), abs=0.02)
     stated = [shown.spread, shown.drift, shown.steady_drift]
     assert stated == pytest.approx(spread, rel=0.01)
+    values, probable = shown.time_constants()
+    np.testing.assert_allclose(values, [5.0, 20.0])
+    np.testing.assert_allclose(probable @ values, tau @ found.probable())
 
 
 @pytest.mark.parametrize("kinds", [1, 3])

@@ -1,5 +1,7 @@
 """The winding's time constant by the housing's temperature."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,10 +12,13 @@ from rigtool.experiments.torque_constant.staircases.winding_time import (
     LONGEST_TIME_CONSTANT,
     SHORTEST_TIME_CONSTANT,
     TRIED,
+    WindingTime,
     _behind,
     _flown,
     winding_time,
+    with_torque,
 )
+from rigtool.experiments.torque_constant.temperature_fit import calibrate
 from tests.experiments.torque_constant.bench import Bench
 
 SHARE = 0.1
@@ -21,6 +26,8 @@ SHARE = 0.1
 LONGER = {"step_time": 0.8, "settle_time": 0.1, "sample_time": 8e-3}
 
 SHORTER = LONGER | {"step_time": 0.3, "sample_time": 4e-3}
+
+COOLING = LONGER | {"friction": 0.05e-3, "force_noise": 2e-4, "heating": 0.0}
 
 
 def plateaus(bench, **changed):
@@ -64,6 +71,62 @@ def test_a_temperature_that_was_not_recorded_says_nothing():
     np.testing.assert_allclose(found.likelihood, 1.0, rtol=1e-6)
     assert found.low == pytest.approx(np.log(SHORTEST_TIME_CONSTANT))
     assert found.high == pytest.approx(np.log(LONGEST_TIME_CONSTANT))
+
+
+def test_a_winding_that_cools_shows_how_late_it_does():
+    """Of 1 A, the housing gets less heat than from the winding that follows it to the room."""
+    tau, share, to_room, room, step = 20.0, 0.12, 300.0, 27.0, 8e-3
+    bench = Bench(time_constant=tau, **LONGER)
+    up = np.linspace(0, 1, 11)
+    signals = bench.record((20, 35, 50), 6, np.concatenate([up, up[-2::-1], up[1:], up[-2::-1]]))
+    noise = 5e-3 * np.random.default_rng(0).standard_normal(len(signals["time"]))
+    housing, winding = 0.0, 0.0
+    for j, begins in enumerate(np.diff(signals["time"], prepend=-1e3) > 1.0):
+        if begins:
+            housing = winding = float(np.round(signals["temperature"][j]))
+        signals["temperature"][j] = housing + noise[j]
+        flow = (winding - housing) / tau
+        winding += step * (0.02 * signals["current"][j] ** 2 - flow)
+        housing += step * (share * flow - (housing - room) / to_room)
+    mean, u = mean_and_u(winding_time(arrange(plateaus(bench, **signals))))
+    assert abs(mean - np.log(tau)) < 2.5 * u
+    assert u < 0.3
+
+
+def test_torque_that_follows_the_winding_shows_how_late_it_does():
+    """At 50 degC the motor cools, at 20 degC it warms."""
+    benches = [
+        Bench(ripple=(), saturation=0.0, time_constant=tau, housing_drift=drift, **COOLING)
+        for tau in (12.0, 40.0)
+        for drift in (0.02, -0.07)
+    ]
+    for cold, hot in (benches[:2], benches[2:]):
+        one, other = cold.record((20,), 6), hot.record((50,), 6, seed=1)
+        other["time"] = other["time"] + one["time"][-1] + 600.0
+        signals = {name: np.concatenate([one[name], other[name]]) for name in one}
+        every = plateaus_of_set_point(**signals, arm_length=0.54, settle_time=hot.settle_time)
+        blind = WindingTime(np.log(np.geomspace(2.0, 300.0, TRIED)), np.ones(TRIED))
+        shown, about = with_torque(blind, arrange(every), (), 1.2 * hot.coefficient)
+        assert about == pytest.approx(hot.coefficient / (1 + hot.coefficient * 15), rel=0.01)
+        mean, u = mean_and_u(shown)
+        assert abs(mean - np.log(hot.time_constant)) < 2.5 * u
+        assert u < 0.4
+        found = calibrate(
+            every,
+            arm_length=0.54,
+            arm_length_u=0.0,
+            gauge_relative_u=0.0,
+            reference_range_degc=(20.0, 35.0),
+        )
+        assert found.coefficient.value == pytest.approx(hot.coefficient, rel=6e-3)
+        lines = {line.name: line.contribution for line in found.coefficient.budget}
+        assert lines["lag of the winding in the slope"] > 0.5e-3 * abs(hot.coefficient)
+
+
+def test_a_single_temperature_shows_no_time_constant_in_the_torque():
+    stairs, blind = arrange(plateaus(Bench(**SHORTER))), WindingTime(np.zeros(1), np.ones(1))
+    alike = np.full_like(stairs.temperature, 20.0)
+    assert with_torque(blind, replace(stairs, temperature=alike), (), -1e-3) == (blind, -1e-3)
 
 
 def test_the_loss_of_a_minute_follows_from_a_time_constant_that_shows():
