@@ -49,7 +49,7 @@ def read_load(
         torque *= rig.torque_factor
         modelled *= rig.torque_factor
         cycles = find_cycles(position)
-        require_no_turning_back(*way, rig.encoder_counts)
+        require_no_turning_back(way, rig.encoder_counts)
         angle = position * (2 * math.pi / rig.encoder_counts) / rig.angle_ratio
         method = (
             lacking,

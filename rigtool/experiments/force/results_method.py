@@ -23,7 +23,7 @@ from rigtool.experiments.between_set_points import (
 )
 from rigtool.experiments.force.cycles import Cycle, readings
 from rigtool.experiments.force.results import applied_torque
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import TINY, Array
 from rigtool.recipe import Recipe
 from rigtool.rigs.motion import Triangle
 from rigtool.runfile import Recording, Run
@@ -107,15 +107,16 @@ def ways(encoder: Array, setpoint: Array, straight: float) -> Array:
     return np.array([moved[moved > 0].sum(), -moved[moved < 0].sum()])
 
 
-def require_no_turning_back(forwards: float, back: float, counts: int) -> None:
-    """Raise `InsufficientDataError` where the rotor turns back on straight strokes, of `ways`.
+def require_no_turning_back(way: Array, counts: int) -> None:
+    """Raise `InsufficientDataError` where the rotor turns back on straight strokes, by its `ways`.
 
     Friction of a shaft that stops and turns back is no constant: it differs with the load, so that
     the reading without load does not take it off.
     """
-    if back > TURNS_BACK * (forwards + back):
+    back = float(way[1] / max(way.sum(), TINY))
+    if back > TURNS_BACK:
         raise InsufficientDataError(
-            f"the rotor turns back on its strokes, {100 * back / (forwards + back):.2g} % of its "
+            f"the rotor turns back on its strokes, {100 * back:.2g} % of its "
             f"way (limit: {100 * TURNS_BACK:.0f} %): the loop shakes it, by the steps of the "
             f"encoder ({counts} a turn) or by noise, and its friction then differs with the load; "
             "take an encoder with more counts, a softer [rig.controller], or raise speed_rev_per_s"

@@ -84,9 +84,9 @@ def test_the_way_back_is_against_the_set_point(sign):
 
 
 def test_a_rotor_that_turns_back_gives_no_reading():
-    require_no_turning_back(99.1, 0.9, 400)
+    require_no_turning_back(np.array([99.1, 0.9]), 400)
     with pytest.raises(InsufficientDataError, match=r"turns back .* 1.1 % .* \(400 a turn\)"):
-        require_no_turning_back(98.9, 1.1, 400)
+        require_no_turning_back(np.array([98.9, 1.1]), 400)
 
 
 @pytest.mark.parametrize("every", [1, 8])
