@@ -9,7 +9,13 @@ import numpy as np
 from rigtool.experiments.controller_torque import loop_blocks, naming
 from rigtool.experiments.force.cycles import find_cycles, readings
 from rigtool.experiments.force.results import LoadReadings
-from rigtool.experiments.force.results_method import resolution_u, unsteady_torque
+from rigtool.experiments.force.results_method import (
+    STRAIGHT,
+    require_no_turning_back,
+    resolution_u,
+    unsteady_torque,
+    ways,
+)
 from rigtool.experiments.force_model.procedure_learning import stroke_record
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, rising_steps
@@ -37,12 +43,13 @@ def read_load(
     """
     settings, rig = recipe.measure_force, recipe.rig
     with naming(recording):
-        signals, rate = _filtered(recording, recipe)
+        signals, rate, way = _filtered(recording, recipe)
         signals[1:] *= torque_constant  # in place: an hour has 20 MB a signal
         position, torque, feedforward, modelled = signals
         torque *= rig.torque_factor
         modelled *= rig.torque_factor
         cycles = find_cycles(position)
+        require_no_turning_back(way, rig.encoder_counts)
         angle = position * (2 * math.pi / rig.encoder_counts) / rig.angle_ratio
         method = (
             lacking,
@@ -64,22 +71,26 @@ def read_load(
     )
 
 
-def _filtered(recording: Recording, recipe: Recipe) -> tuple[Array, float]:
-    """Return encoder, current of controller, table, model, low-passed and thinned, (4, m), and Hz.
+def _filtered(recording: Recording, recipe: Recipe) -> tuple[Array, float, Array]:
+    """Return encoder, current of controller, table, model, low-passed and thinned, (4, m), Hz, and
+    the `ways` (2,) of the rotor.
 
     Read block by block, so that memory does not grow with the recording.
     """
     cutoff = recipe.measure_force.lowpass_hz
     rate, last, samples = _rate(recording), np.zeros(0), 0
     collected = Decimator(factor := kept_factor(rate, cutoff), 4, recording.size)
+    speed = 2 * math.pi * recipe.measure_force.speed_rev_per_s * recipe.rig.angle_ratio
+    way = np.zeros(2)
     for block in loop_blocks(recording, recipe):
         rising_steps(np.concatenate([last, block.time]), samples - last.size)
         last, samples = block.time[-1:], samples + block.time.size
+        way += ways(block.encoder, block.setpoint, STRAIGHT * speed / rate)
         collected.add(block.encoder, block.controller, block.learned, block.modelled)
     thinned = collected.finish()
     for signal in thinned:  # one by one: the filter holds several copies of what it works on
         signal[:] = lowpass(rate / factor, signal, cutoff)
-    return thinned, rate / factor
+    return thinned, rate / factor, way
 
 
 def _rate(recording: Recording) -> float:

@@ -154,7 +154,8 @@ def fit_direction(
     deviation of the speed in each point, rad/s, zero without it.
     The Stribeck model is chosen only where the Akaike criterion (corrected: Hurvich and Tsai 1989)
     prefers it and all its parameters are determined; else the line is fitted, without the lowest
-    speeds where they lie off it. Raises `InsufficientDataError` where
+    speeds where they lie off it. A curve that fits best without being determined rules out others
+    that are: their parameters would be those of the wrong law. Raises `InsufficientDataError` where
     there are too few speeds.
     """
     speed, torque, u = require_signals(1, speed=speed, torque=torque, u=u)
@@ -172,15 +173,20 @@ def fit_direction(
         )
     # Uncertainties from few degrees of freedom are uncertain themselves: weigh in the median.
     points = _Points(v, f, 1 / np.sqrt((scatter**2 + np.median(scatter) ** 2) / 2 + 1e-30), s)
-    best = _line(points)
+    best = line = _line(points)
     lowest, needed = _criterion(best, points), 0.0
-    curves = {exponent: _stribeck(points, exponent) for exponent in shapes}
-    for exponent, candidate in curves.items():
+    fitted = {exponent: _curve(points, exponent) for exponent in shapes}
+    curves = {
+        exponent: fit if fit is not None and _determined(fit, points) else None
+        for exponent, fit in fitted.items()
+    }
+    for exponent, candidate in fitted.items():
         if candidate is not None:
             criterion = _criterion(candidate, points)
             if criterion + shapes[exponent] < lowest:
                 best, lowest, needed = candidate, criterion, shapes[exponent]
-    if best.exponent is None:
+    if best.exponent is None or curves[best.exponent] is None:
+        lowest, needed = _criterion(line, points), 0.0
         best = _straight_part(points)
         _require_no_fall(best)
     averaged, own = _averaged(best, curves, points)
@@ -312,8 +318,8 @@ def _straight_part(points: _Points) -> DirectionFit:
     return _line(points)
 
 
-def _stribeck(points: _Points, exponent: float) -> DirectionFit | None:
-    """Fit the Stribeck model; None where the data do not determine its parameters."""
+def _curve(points: _Points, exponent: float) -> DirectionFit | None:
+    """Fit the Stribeck model; None for fewer than six speeds."""
     v, _, weight, swing = points
     if len(v) < 6:
         return None
@@ -323,10 +329,9 @@ def _stribeck(points: _Points, exponent: float) -> DirectionFit | None:
         return float(np.sum(points.weighted(design @ points.solve(design)) ** 2))
 
     # The model is linear in all parameters but vs.
-    slowest, fastest = v.min() / 3, v.max() / 3
-    vs = minimum(misfit, slowest, fastest)
+    vs = minimum(misfit, v.min() / 3, v.max() / 3)
     coulomb, viscous, static = points.solve(_columns(points, vs, exponent))
-    bump, slope = (static - coulomb) * np.array(peak(v, vs, exponent, swing))
+    slope = (static - coulomb) * peak(v, vs, exponent, swing)[1]
     design = np.column_stack([_columns(points, vs, exponent), slope])
     parameters = np.array([coulomb, viscous, static, vs])
     fit = _finish(parameters, design, points, exponent)
@@ -334,14 +339,22 @@ def _stribeck(points: _Points, exponent: float) -> DirectionFit | None:
     by_swing = fit.evaluate(v, swing) - fit.evaluate(v)
     shift = SWING_U * points.inverse(design) @ (by_swing * weight)
     covariance = fit.covariance + np.outer(shift, shift)
+    return replace(fit, covariance=covariance)
+
+
+def _determined(fit: DirectionFit, points: _Points) -> bool:
+    """Return whether the data determine the parameters of a Stribeck curve."""
+    v, _, weight, swing = points
+    coulomb, _, static, vs = fit.parameters
+    covariance = fit.covariance
+    bump = (static - coulomb) * peak(v, vs, fit.exponent or 0.0, swing)[0]
     rise_u = math.sqrt(covariance[0, 0] + covariance[2, 2] - 2 * covariance[0, 2])
-    determined = (
+    return bool(
         static - coulomb > DETERMINED_RATIO * rise_u
         and vs > DETERMINED_RATIO * math.sqrt(covariance[3, 3])
-        and 1.1 * slowest < vs < fastest / 1.1
+        and 1.1 * v.min() / 3 < vs < v.max() / 3 / 1.1
         and np.count_nonzero(bump * weight > BUMP_SIGNIFICANCE) >= 3
     )
-    return replace(fit, covariance=covariance) if determined else None
 
 
 def _columns(points: _Points, vs: float, exponent: float) -> Array:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from rigtool.control.lookup_table import LookupTable
 from rigtool.experiments.learning.rows import Row, residual
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
@@ -82,22 +81,13 @@ class Remaining:
             name: Column(values, "N m", described.get(name, "")) for name, values in numbers.items()
         }
 
-    def notes(
-        self,
-        table: LookupTable,
-        tolerance: float = 1e-3,
-        sampled: Callable[[Array, Array], Array] = lambda torque, speed: torque,
-    ) -> tuple[str, ...]:
+    def notes(self, expected: Array, tolerance: float = 1e-3) -> tuple[str, ...]:
         """Report moves that were made with another table than the one in the results.
 
-        `tolerance` is relative to the largest torque: a recorded current is a 4-byte number, and
-        read between two samples. `sampled` returns the torques of a table as they are recorded.
+        `expected` (rows, n) N m is what that table adds, as it would be recorded. `tolerance` is
+        relative to the largest torque: a recorded current is a 4-byte number.
         """
-        speeds = np.array([row.speed for row in self.after])
-        here = table.evaluate(
-            np.tile(self.position, len(speeds)), np.repeat(speeds, len(self.position))
-        ).reshape(self.applied.shape)
-        difference = float(np.abs(sampled(here, speeds) - self.applied).max())
+        difference = float(np.abs(expected - self.applied).max())
         if difference <= tolerance * float(np.abs(self.applied).max()):
             return ()
         return (

@@ -14,10 +14,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.between_set_points import unsampled_note
-from rigtool.experiments.controller_torque import (
-    encoder_shaking,
-    require_stable_loop,
-)
+from rigtool.experiments.controller_torque import require_stable_loop
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.ripple.distortion import (
@@ -32,6 +29,7 @@ from rigtool.experiments.ripple.orders import (
     Ripple,
     compare,
 )
+from rigtool.experiments.ripple.procedure_shaking import shaken_note, shaken_orders, uneven_note
 from rigtool.experiments.ripple.procedure_steady import (
     Collected,
     collected,
@@ -76,10 +74,6 @@ MAX_SEGMENT = 4096
 
 LARGEST_FALL = 0.5
 """Largest part of the torque constant that heat may take: ferrite loses a fifth in 100 K."""
-
-SHAKING_LIMIT = 0.5
-"""Largest relative standard deviation of the speed, by the steps of the encoder, without a note: on
-two drawn rigs no order was off at 0.4, and first orders were off by 4 to 10 u at 0.8 to 3."""
 
 # -- measuring
 
@@ -169,6 +163,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     constants, per_amperes, heat_note = _constants(kt, recorded, found)
     held = [own.waveforms * k for own, k in zip(found, per_amperes, strict=True)]
     by_amplifier, distortion_notes = _distorted(kt, found, constants)
+    by_shaking = shaken_orders(found, held)
     changes = _friction_changes(
         recorded,
         [float(torque.mean()) for torque in held],
@@ -178,7 +173,9 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
         LoopRipple(
             torque - torque.mean(), own.sampling, own.durations, own.steps, change, distorted
         )
-        for own, torque, change, distorted in zip(found, held, changes, by_amplifier, strict=True)
+        for own, torque, change, distorted in zip(
+            found, held, changes, np.hypot(by_amplifier, by_shaking), strict=True
+        )
     ]
     by_speed, by_torque = ripples[: len(speeds)], ripples[len(speeds) :][: len(torques)]
     by_cycle = ripples[len(speeds) + len(torques) :]
@@ -201,9 +198,10 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     notes = [
         heat_note,
         loop_note(recipe, speeds[-1].condition("speed") / (2 * math.pi)),
-        *_shaking_note(recorded, recipe),
+        *uneven_note(recorded, recipe),
         *varying_note(recorded, ripples),
         *distortion_notes,
+        *shaken_note(torques, found[len(speeds) :]),
         *steps_note(recorded, recipe),
         *_resolution_notes(speeds, by_speed, "speed", "rad/s"),
         *_resolution_notes(torques, by_torque, "torque", "N m"),
@@ -256,21 +254,6 @@ def _friction_changes(
     )
     found = dict(zip(speeds, changes.tolist(), strict=True))
     return [found[recording.condition("speed")] for recording in recorded]
-
-
-def _shaking_note(recordings: Sequence[Recording], recipe: Recipe) -> list[str]:
-    """Return a note where the encoder's steps shake the speed beyond `SHAKING_LIMIT`."""
-    speed = np.unique([recording.condition("speed") for recording in recordings])
-    shaking = encoder_shaking(recipe, speed)
-    if not (shaken := shaking > SHAKING_LIMIT).any():
-        return []
-    return [
-        f"at {', '.join(f'{v:.3g}' for v in speed[shaken])} rad/s the steps of the encoder, "
-        f"{recipe.rig.encoder_counts} a turn, make the loop vary the speed by up to "
-        f"{100 * shaking.max():.0f} % (limit {100 * SHAKING_LIMIT:.0f} %): ripple there is that of "
-        "a shaking current, which no uncertainty includes; take an encoder with more counts, a "
-        "softer controller, or turn faster"
-    ]
 
 
 def _resolution_notes(

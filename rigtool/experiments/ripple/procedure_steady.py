@@ -96,7 +96,9 @@ def temperature_at_turns(recording: Recording, passed: Array) -> Array:
 class Collected:
     """Steady revolutions of a recording, as `Revolutions` has them: `waveforms` (revolutions,
     positions) A, with their `sampling`; `durations` (revolutions, positions) s; `steps` (m,), those
-    of `step_orders`; when the rotor `passed` turns, s, and the mean `current` of each, A."""
+    of `step_orders`; when the rotor `passed` turns, s, and the mean `current` of each, A. `square`
+    is the mean of i |i|, `shaken` the part of it that a current which is steady would not have, A2:
+    of recorded samples, which are means of several."""
 
     waveforms: Array
     durations: Array
@@ -105,6 +107,8 @@ class Collected:
     sampling: Sampling
     passed: Array
     current: Array
+    square: float
+    shaken: float
 
 
 def collected(
@@ -114,7 +118,7 @@ def collected(
 
     Raises `InsufficientDataError` where the current is at its limit, or whole turns are missing.
     """
-    largest, total = 0.0, 0.0
+    largest = total = square = 0.0
     with naming(recording):
         first, last = first_and_last(recording, "encoder", steady)
         revolutions = Revolutions(cells_for(recipe.rig.encoder_counts), forward=last > first)
@@ -123,13 +127,15 @@ def collected(
         ):
             largest = max(largest, float(np.abs(current).max()))
             total += float(current.sum())
+            square += float(current @ np.abs(current))
             encoder /= recipe.rig.encoder_counts
             revolutions.add(time, encoder, current)
             if welch is not None:
                 welch.add(current)
         held = "torque" in recording.conditions
         remedy = "lower fft_ripple.torques" if held else "turn more slowly"
-        require_unlimited(largest, recipe, remedy, abs(total) / len(steady))
+        mean, square = abs(total) / len(steady), abs(square) / len(steady)
+        require_unlimited(largest, recipe, remedy, mean)
         settings = recipe.fft_ripple
         waveforms = revolutions.waveforms(settings.revolutions)
         durations = revolutions.durations(settings.revolutions)
@@ -142,4 +148,7 @@ def collected(
             settings.record_every,
             HIGHEST_ORDER,
         )
-    return Collected(waveforms, durations, steps, last > first, sampling, *revolutions.turns())
+    shaken = max(square - mean**2, 0.0)
+    return Collected(
+        waveforms, durations, steps, last > first, sampling, *revolutions.turns(), square, shaken
+    )

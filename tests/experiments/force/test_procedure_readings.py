@@ -25,7 +25,7 @@ def signals(monkeypatch):
     def filtered(late=0.0, at=5000):
         moved = time - np.where(np.arange(time.size) >= at, late, 0.0)
         blocks = [
-            SimpleNamespace(time=part, **dict(zip(NAMES, own, strict=True)))
+            SimpleNamespace(time=part, setpoint=2 * part, **dict(zip(NAMES, own, strict=True)))
             for part, *own in zip(
                 *(np.split(one, [1, 4000, at, 8000]) for one in (moved, *made.values())),
                 strict=True,
@@ -38,7 +38,7 @@ def signals(monkeypatch):
 
 
 def test_blocks_are_thinned_and_low_passed_as_the_whole(signals):
-    found, rate = signals()
+    found, rate, _ = signals()
     corner = load_recipe(RECIPE, ())[0].measure_force.lowpass_hz
     factor = kept_factor(RATE, corner)
     assert rate == pytest.approx(RATE / factor)
@@ -49,6 +49,12 @@ def test_blocks_are_thinned_and_low_passed_as_the_whole(signals):
     for n, own in enumerate(found):
         expected = lowpass(rate, np.sin(2 * np.pi * (n + 1) * middle), corner)
         assert np.abs(own - expected)[inside].max() < 0.02
+
+
+def test_the_rotor_s_ways_are_summed_over_blocks(signals):
+    """The encoder, two and a quarter cycles of a sine, against a set point that rises."""
+    _, _, ways = signals()
+    np.testing.assert_allclose(ways, [5, 4], rtol=0.01)
 
 
 def test_time_rises_from_block_to_block(signals):

@@ -10,7 +10,13 @@ from rigtool.errors import InsufficientDataError
 from rigtool.experiments.between_set_points import UnsampledCurrent
 from rigtool.experiments.force.cycles import find_cycles, readings
 from rigtool.experiments.force.procedure import strokes
-from rigtool.experiments.force.results_method import lacking_torque, resolution_u, unsteady_torque
+from rigtool.experiments.force.results_method import (
+    lacking_torque,
+    require_no_turning_back,
+    resolution_u,
+    unsteady_torque,
+    ways,
+)
 from rigtool.numerics.lowpass import lowpass
 from rigtool.recipe import load_recipe
 from tests.experiments.virtual_runs import RECIPE
@@ -50,6 +56,37 @@ def test_it_is_what_the_ends_of_the_stroke_bring_and_hardly_more(rev_per_s, mode
     alone = stroked(rev_per_s, modelled, modelled)[1]
     inertia = stroked(rev_per_s, modelled, friction=0.0)[1]
     assert u == pytest.approx(alone + inertia, rel=0.02, abs=2e-3 * FRICTION)
+
+
+@pytest.mark.parametrize(
+    ("factor", "reason"), [(0.5, "ends of the stroke"), (2, "sticks and leaps")]
+)
+def test_a_speed_that_is_off_has_its_own_reason(factor, reason):
+    """Ends of a stroke lower the speed; only a leap raises it."""
+    recipe = load_recipe(RECIPE, ("measure_force.speed_rev_per_s=0.2",))[0]
+    motion = strokes(recipe, 4)
+    time = (np.arange(round(motion.duration * RATE)) + 0.5) / RATE
+    angle = motion.setpoint(time)[0] / recipe.rig.angle_ratio
+    middle = math.radians(recipe.measure_force.measure_angle)
+    leaping = angle + (factor - 1) * 0.1 * np.tanh((angle - middle) / 0.1)
+    with pytest.raises(InsufficientDataError, match=reason):
+        unsteady_torque(
+            leaping, angle, 0 * angle, rate=RATE, cycles=find_cycles(angle), recipe=recipe
+        )
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_way_back_is_against_the_set_point(sign):
+    """Three counts on and one back, while the set point moves; its turn does not count."""
+    setpoint = sign * np.concatenate([np.arange(0, 9.0), [8.05, 8.06]])
+    encoder = sign * np.array([0, 3, 2, 5, 4, 7, 6, 9, 8, 1, 0.0])
+    np.testing.assert_array_equal(ways(encoder, setpoint, 0.9), [12, 4])
+
+
+def test_a_rotor_that_turns_back_gives_no_reading():
+    require_no_turning_back(np.array([99.1, 0.9]), 400)
+    with pytest.raises(InsufficientDataError, match=r"turns back .* 1.1 % .* \(400 a turn\)"):
+        require_no_turning_back(np.array([98.9, 1.1]), 400)
 
 
 @pytest.mark.parametrize("every", [1, 8])

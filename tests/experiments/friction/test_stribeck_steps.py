@@ -16,10 +16,11 @@ from rigtool.experiments.friction.stribeck_fit import (
     _akaike,
     _averaged,
     _criterion,
+    _curve,
+    _determined,
     _line,
     _Points,
     _straight_part,
-    _stribeck,
     fit_direction,
     fit_directions,
     mean_by_speed,
@@ -170,6 +171,24 @@ def test_the_stated_line_is_the_mean_over_models_by_their_akaike_weights(static)
     within = sum(w * own for w, (*_, own) in zip(weights, models, strict=True))
     assert_allclose(covariance, within + (apart * weights[:, None]).T @ apart, rtol=1e-6)
     assert 0.05 < weights[0] < (0.95 if static > 2.3e-3 else 1.0)
+
+
+def _stribeck(known, exponent):
+    fit = _curve(known, exponent)
+    return fit if fit is not None and _determined(fit, known) else None
+
+
+def test_a_curve_that_is_not_determined_rules_out_one_that_fits_worse():
+    """Two speeds show a Gaussian effect; Tustin's, wider, is determined by the same ones."""
+    v = np.geomspace(0.49, 14.7, 8)
+    u = np.full(8, 1e-5)
+    f = stribeck(v, 3.6e-3, 0.66, 2.0) + u * np.random.default_rng(3).standard_normal(8)
+    known = points(v, f, u)
+    assert _stribeck(known, 2.0) is None
+    assert _stribeck(known, 1.0) is not None
+    found = fit_direction(v, f, u)
+    assert found.exponent is None
+    assert found.criterion == pytest.approx(fit_direction(v, f, u, {}).criterion)
 
 
 def test_a_chosen_curve_states_its_own_line_and_the_others_as_uncertainty():

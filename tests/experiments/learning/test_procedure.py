@@ -188,6 +188,13 @@ def test_another_filter_is_distinguished_from_the_one_that_was_recorded(learned,
     assert not any("residual belongs" in note for note in outcome.notes)
 
 
+def test_the_table_is_the_recorded_one_however_coarse_the_samples(folder, kt):
+    """A loop of 1 ms passes a table of 400 counts in steps over which it bends."""
+    coarse = "rig.sample_time=1e-3", "rig.encoder_counts=400", "rig.controller.crossover_hz=20"
+    outcome = run(ILC_LEARN, RECIPE, folder / "coarse.h5", *SHORT, *coarse, kt=kt)
+    assert not any("residual belongs" in note for note in outcome.notes)
+
+
 def test_friction_that_is_fed_forward_is_not_learned(compensated):
     path, outcome = compensated
     left = outcome.tables["lookup"]["torque"][:, 200:-200]

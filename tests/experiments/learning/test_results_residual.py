@@ -3,20 +3,15 @@
 import numpy as np
 from scipy.stats import sem
 
-from rigtool.control.lookup_table import LookupTable
 from rigtool.experiments.learning.results_residual import Remaining
 from rigtool.experiments.learning.rows import Row
 
 SPEEDS = (-3.0, 3.0, 6.0)
 POSITION = np.linspace(0, 2, 21)
+TORQUE = np.outer(SPEEDS, 1e-3 * np.sin(2 * POSITION))
 
 
-def table():
-    rows = np.outer(SPEEDS, 1e-3 * np.sin(2 * POSITION))
-    return LookupTable(POSITION, np.array(SPEEDS), rows, np.array([0.0, 3.0]), np.array([0.0, 1.0]))
-
-
-def remaining(applied=None):
+def remaining(applied=TORQUE):
     rng = np.random.default_rng(1)
 
     def rows(size, moves):
@@ -25,8 +20,7 @@ def remaining(applied=None):
             for v, n in zip(SPEEDS, moves, strict=True)
         ]
 
-    own = table().torque if applied is None else applied
-    return Remaining(POSITION, rows(2e-3, (5, 5, 5)), rows(3e-4, (5, 9, 4)), own)
+    return Remaining(POSITION, rows(2e-3, (5, 5, 5)), rows(3e-4, (5, 9, 4)), applied)
 
 
 def test_numbers_by_speed_are_those_of_the_moves():
@@ -48,13 +42,12 @@ def test_numbers_by_speed_are_those_of_the_moves():
         assert np.isclose(numbers["residual_peak_u"][number], sem(row.moves[:, at]))
         scatter = np.sqrt(np.mean(np.var(row.moves, axis=0, ddof=1)))
         assert np.isclose(numbers["non_repeatable_rms"][number], scatter)
-    np.testing.assert_array_equal(waves["table"], table().torque)
+    np.testing.assert_array_equal(waves["table"], TORQUE)
 
 
 def test_another_table_than_the_recorded_one_is_reported():
-    own = table().torque
-    assert remaining(own * (1 + 0.9e-3)).notes(table()) == ()
-    other = own.copy()
+    assert remaining(TORQUE * (1 + 0.9e-3)).notes(TORQUE) == ()
+    other = TORQUE.copy()
     other[1, 4] += 1e-4
-    (note,) = remaining(other).notes(table())
+    (note,) = remaining(other).notes(TORQUE)
     assert "differs from this one by up to 0.1 mN m" in note

@@ -9,7 +9,7 @@ import pytest
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.ripple import procedure as fft_ripple
 from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
-from rigtool.experiments.ripple.procedure import _friction_changes, _shaking_note
+from rigtool.experiments.ripple.procedure import _friction_changes
 from rigtool.experiments.ripple.procedure_steady import collected, steady_samples
 from rigtool.experiments.ripple.results import steps_note
 from rigtool.experiments.ripple.shared_scatter import shared_floor
@@ -119,16 +119,6 @@ def test_averaging_into_few_samples_costs_no_amplitude(folder, kt):
     said = "at 3 rad/s there are 131 samples a turn: orders above 52 are not resolved"
     assert said in coarse.notes
     assert not any("at 3 rad/s" in note for note in fine.notes)
-
-
-def test_an_encoder_whose_steps_shake_the_loop_is_noted():
-    """Edges that come more slowly than the loop follows; at 9 rad/s they come faster."""
-    recipe, _ = load_recipe(RECIPE, ("rig.encoder_counts=200",))
-    recordings = [SimpleNamespace(condition=lambda name, v=v: v) for v in (3.0, 1.0, 9.0, 3.0)]
-    (note,) = _shaking_note(recordings, recipe)
-    assert note.startswith("at 1, 3 rad/s the steps of the encoder, 200 a turn,")
-    fine, _ = load_recipe(RECIPE, ())
-    assert _shaking_note(recordings, fine) == []
 
 
 def test_speeds_at_which_the_loop_follows_an_alias_of_the_encoder_are_noted():

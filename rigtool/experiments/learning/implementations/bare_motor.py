@@ -320,7 +320,7 @@ class BareMotor(Implementation[T]):
                 **sweep.tables,
             },
             tuple(self.learned_notes(taught)),
-            remains.notes(table, SAME_TABLE, self._sampled),
+            remains.notes(self._sampled(table, remains), SAME_TABLE),
             validated,
         )
 
@@ -364,13 +364,16 @@ class BareMotor(Implementation[T]):
         speed = np.gradient(found.setpoint, found.time)[used]
         return Sweep(found.time[used], speed, torque, self.torque_constant * found.learned[used])
 
-    def _sampled(self, torque: Array, speed: Array) -> Array:
-        """Return torques by speed and angle (speeds, positions) as they are recorded.
+    def _sampled(self, table: LookupTable, remains: Remaining) -> Array:
+        """Return the torques of a table by speed and angle (speeds, positions) as recorded.
 
         A recorded sample is the mean over the angle of several samples of the loop; interpolated
         between samples it is a mean over three such angles.
         """
+        speed, count = np.array([row.speed for row in remains.after]), remains.position.size
+        torque = table.evaluate(
+            np.tile(remains.position, speed.size), np.repeat(speed, count)
+        ).reshape(-1, count)
         interval = self.recipe.ilc_learn.turning.record_every * self.recipe.rig.sample_time
-        count = torque.shape[1]
         passed = np.outer(interval * speed / TURN, np.arange(count // 2 + 1))
         return np.fft.irfft(np.fft.rfft(torque) * np.sinc(passed) ** 3, count)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import RunFileError
 from rigtool.experiments.controller_torque import LOOP_CHANNELS, naming
 from rigtool.experiments.learning.convergence import Cycles, learning_run
@@ -139,7 +140,7 @@ class LimitedAngle(Implementation[TaughtMoves]):
                 f"learned from {low:.4g} to {high:.4g} deg of the motor at up to "
                 f"{table.speed[-1]:.4g} rad/s; the table does not extrapolate",
             ),
-            remaining.notes(table),
+            remaining.notes(self._fed(table, run.recordings_of("validate"))),
             between,
         )
 
@@ -176,6 +177,23 @@ class LimitedAngle(Implementation[TaughtMoves]):
         found.sort(key=lambda item: item[0].speed)
         rows_before, rows_after, torques = zip(*found, strict=True)
         return Remaining(position, rows_before, rows_after, np.stack(torques))
+
+    def _fed(self, table: LookupTable, validate: Sequence[Recording]) -> Array:
+        """Return what a table adds, N m (rows, n), read as the table's recorded current is.
+
+        Both are samples of the loop, between which a straight line leaves out how a table bends.
+        """
+        position = positions(self.recipe, self.recipe.ilc_learn.end_angle)
+        found: list[tuple[float, Array]] = []
+        for recording in validate:
+            speed = recording.condition("speed")
+            time, setpoint = recording.read("time"), recording.read("position_setpoint")
+            fed = table.evaluate(setpoint, speed * np.sign(np.gradient(setpoint)))
+            cut = cut_moves(time, setpoint, fed, moves=1)
+            found += [
+                (sign * speed, at_positions(cut, cut.torque[0], position, sign)) for sign in (-1, 1)
+            ]
+        return np.stack([torque for _, torque in sorted(found, key=lambda item: item[0])])
 
     def _validated(self, run: Run, remaining: Remaining) -> list[Steady]:
         """Compare moves without and with the table, at learned speeds and in between."""
