@@ -22,6 +22,7 @@ from rigtool.experiments.torque_constant.staircases.arm_motion import (
     one_sided,
     state_of,
 )
+from rigtool.experiments.torque_constant.staircases.friction_change import FRICTION_CHANGE
 from rigtool.experiments.torque_constant.staircases.friction_cone import positive, possible
 from rigtool.experiments.torque_constant.staircases.least_squares import left_by
 from rigtool.experiments.torque_constant.staircases.model import (
@@ -221,8 +222,8 @@ class MeanStaircases:
         """Return what `_fit` does, for columns without a loss by heat or with one."""
         q, r = self._factors(current, lost, friction)
         projected = np.swapaxes(q, 2, 3) @ self._torque
-        rest = self._torque[..., 0] - (q @ projected[..., :1])[..., 0]
-        square = np.sum(rest**2, axis=2) @ self._share
+        rest = np.sum((self._torque - q @ projected) ** 2, axis=2)
+        square = rest[..., 0] @ self._share
         variance = (np.maximum(square, TINY) / self.dof)[:, None, None, None]
         # The inverse of a leading block of a triangle is the leading block of its inverse.
         inverse: Array = np.asarray(np.linalg.inv(r), dtype=np.float64)
@@ -235,9 +236,11 @@ class MeanStaircases:
         inverse = inverse[..., :-1, :-1]
         found = inverse @ projected[..., :-1, :]
         # Heat takes as much of the constant at all temperatures; friction may change with them.
-        heat = [3] if lost else []
+        tied = [3, -2] if lost else [-2]
+        change = (FRICTION_CHANGE * np.maximum(level, 0.0)) ** 2
+        change = change[:, None] / np.maximum(rest[..., 1] / self.dof * self.kinds, TINY)
         trend, steady = (
-            np.sum(_without(inverse, found[..., 1], tied), axis=1) for tied in (heat, [*heat, -2])
+            np.sum(_without(inverse, found[..., 1], tied, each), axis=1) for each in (change, 0.0)
         )
         found = found[..., :-2, :]
         # All else follows what is possible for friction.
@@ -403,10 +406,12 @@ def within_limits(asymmetry: float) -> float:
     return min(max(asymmetry, -LARGEST_ASYMMETRY), LARGEST_ASYMMETRY)
 
 
-def _without(inverse: Array, found: Array, known: list[int]) -> Array:
+def _without(inverse: Array, found: Array, known: list[int], variance: Array | float) -> Array:
     """Return the first of the parameters (s, g, c) that least squares find with inverse triangles
-    (s, g, c, c), if those `known` are zero."""
+    (s, g, c, c), if those `known` are zero, the last of them with this `variance` (s, g) over that
+    of a residual."""
     cover = inverse[..., [0, *known], :] @ np.swapaxes(inverse[..., known, :], 2, 3)
+    cover[..., -1, -1] += variance
     moved = np.linalg.solve(cover[..., 1:, :], found[..., known, None])
     rest: Array = found[..., 0] - (cover[..., :1, :] @ moved)[..., 0, 0]
     return rest
