@@ -54,6 +54,10 @@ COARSE = 1e-3
 """Relative uncertainty of a slope by the gauge's rounding from which hypotheses are tried on that
 rounding, too; below, it is little beside friction's own."""
 
+MOTIONS = 2
+"""Times that the arm is moved with the friction with which each staircase begins and which it has
+at its temperature, each with the solution so far."""
+
 
 @dataclass(frozen=True)
 class Slopes:
@@ -137,17 +141,18 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     tau, probable = hypotheses.time_constants()
     warm, range_u = mean_winding(stairs, tau, probable, trend)
     given = stairs, warm, hypotheses.means.friction_of_each(best), coefficient, rise
-    if given[2]:  # friction of each begins with its own, which shows in the first solution
-        begins = _begins(stairs, _solve(*given).fit)
-        friction = hypotheses.means.friction_of_each(best, begins)
+    both = _solve(*given), _solve(*given, steady=True)
+    for _ in range(MOTIONS if given[2] else 0):
+        motion = _begins(stairs, both[0].fit), _sizes(stairs, both, trend, rise)
+        friction = hypotheses.means.friction_of_each(best, *motion)
         given = *given[:2], friction, coefficient, rise
-    solution, steady = _solve(*given), _solve(*given, steady=True)
+        both = _solve(*given), _solve(*given, steady=True)
+    solution, steady = both
     hidden = hidden_loss(stairs, solution.warmed, _scatter(stairs, solution.warmed)[0])
     constant = hypotheses.constant
     share = abs(straight_slope(stairs) / constant - 1 + solution.heating)
     fitted = stairs.torque - solution.fit.residual
     errors = rounding_errors(stairs, fitted)
-    both = solution, steady
     changes, known = friction_changes(stairs.weight, solution.fit, steady.fit, trend)
     roundings = [np.stack([each.fit.solve(one)[0][:, 0] for one in errors]) for each in both]
     rounding = between(changes * known, *roundings)
@@ -333,6 +338,16 @@ def _begins(stairs: Stairs, fit: LeastSquares) -> Array:
     """Return the friction with which each staircase begins, over the largest (m,)."""
     u = _scatter(stairs, fit)[0] * np.linalg.norm(fit.inverse[:, 2], axis=1)
     return begins_with(fit.own[:, 2], u, float(fit.shared[1]))
+
+
+def _sizes(stairs: Stairs, both: tuple[_Solution, _Solution], trend: Array, rise: Array) -> Array:
+    """Return the friction that moves the arm in each staircase, over the mean (m,): with the change
+    that is likely, as it changes the path, too."""
+    changing, steady = (each.fit for each in both)
+    changes, known = friction_changes(stairs.weight, changing, steady, trend)
+    change = changes * known * float(changing.shared[-1])
+    sizes: Array = np.maximum(1 + change / max(float(steady.shared[1]), TINY) * rise, 0.0)
+    return sizes if steady.shared[1] > 0 else np.ones(len(rise))
 
 
 def _rms(values: Array) -> float:

@@ -144,12 +144,14 @@ class MeanStaircases:
         law = _law(common)
         return self._moves(*law, *self._along_turns(*law, [common.lag]))
 
-    def friction_of_each(self, common: Common, begins: Array | None = None) -> tuple[Array, ...]:
+    def friction_of_each(
+        self, common: Common, begins: Array | None = None, sizes: Array | float = 1.0
+    ) -> tuple[Array, ...]:
         """Return columns of f and f z0 of each staircase (m, p), or nothing without friction.
 
         It is that of the arm's motion under the torque of each, which begins with the friction
-        `begins` (m,) over f, or with that of the mean. Ripple acts with a lag: what that does to
-        the turns of the arm is added.
+        `begins` (m,) over f, or with that of the mean, and is moved with `sizes` (m,) of f. Ripple
+        acts with a lag: what that does to the turns of the arm is added.
         """
         if common.transition is None:
             return ()
@@ -172,7 +174,8 @@ class MeanStaircases:
                 first, _ = one_sided(contacts.state[0, kind, :1], at_once[1], self.asymmetry)
                 first = first if begins is None else begins[:, None]
                 friction = at_once[0] + at_once[1] * first
-                contacts = replace(contacts, state=state_of(friction, self.asymmetry))
+                state = state_of(friction, self.asymmetry)
+                contacts = replace(contacts, level=contacts.level * sizes, state=state)
                 each = replace(courses, torque=torque, course=both[0], part=courses.part[kind])
                 own += np.concatenate(self.arm.friction_state(each, contacts)) - at_once
         a, b = -own * self.stairs.weight
@@ -237,10 +240,11 @@ class MeanStaircases:
         found = inverse @ projected[..., :-1, :]
         # Heat takes as much of the constant at all temperatures; friction may change with them.
         tied = [3, -2] if lost else [-2]
-        change = (FRICTION_CHANGE * np.maximum(level, 0.0)) ** 2
-        change = change[:, None] / np.maximum(rest[..., 1] / self.dof * self.kinds, TINY)
+        change = (FRICTION_CHANGE * np.maximum(level, 0.0))[:, None] ** 2
+        each = rest[..., 1] / self.dof * self.kinds
+        change = change / np.maximum(each, 1e-12 * change + TINY)
         trend, steady = (
-            np.sum(_without(inverse, found[..., 1], tied, each), axis=1) for each in (change, 0.0)
+            np.sum(_without(inverse, found[..., 1], tied, wide), axis=1) for wide in (change, 0.0)
         )
         found = found[..., :-2, :]
         # All else follows what is possible for friction.

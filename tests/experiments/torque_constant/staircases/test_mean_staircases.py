@@ -225,22 +225,59 @@ def test_friction_of_each_staircase_begins_with_its_own(swinging_arm, monkeypatc
     assert off() > 3 * off(begins)
 
 
-def test_each_staircase_is_fitted_with_the_friction_with_which_it_begins(monkeypatch):
-    """Cogging of order 2 winds each arm before its staircase: friction opposes that."""
+def test_friction_that_differs_by_temperature_moves_each_arm(swinging_arm, monkeypatch):
+    means, law, contacts = swinging_arm
+    courses, sizes = means.stairs.courses, np.array([1.3, 1.3, 0.7, 0.7])
+    monkeypatch.setattr(means, "moves", lambda common: mean_of(contacts))
+    torque, course, _ = courses.of_each()
+    each = replace(courses, torque=torque, course=course, part=courses.part[[0] * 4])
+    arms, begins = replace(means.arm, steps=40), np.zeros(4)
+    own = replace(contacts, level=contacts.level * sizes)
+    for _ in range(20):
+        own = replace(own, state=np.column_stack([begins, own.state[:, 1:]]))
+        own = replace(own, state=arms.friction_state(each, own)[0])
+
+    def off(*known) -> float:
+        return float(np.abs(-means.friction_of_each(law, *known)[0] - own.state)[:, 1:].max())
+
+    assert off(begins, sizes) < 0.3 * off(begins)
+
+
+@pytest.fixture
+def motion(monkeypatch):
+    """Return what finds the friction with which staircases begin, and which moves their arms."""
     asked, of_each = [], MeanStaircases.friction_of_each
 
-    def spied(means, common, *begins):
-        asked.append(begins)
-        return of_each(means, common, *begins)
+    def spied(means, common, *known):
+        asked.append(known)
+        return of_each(means, common, *known)
+
+    def motion(signals):
+        plateaus = plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08)
+        slopes = fit_staircases(plateaus)
+        return slopes, *asked[-1]
 
     monkeypatch.setattr(MeanStaircases, "friction_of_each", spied)
+    return motion
+
+
+def test_each_staircase_is_fitted_with_the_friction_with_which_it_begins(motion):
+    """Cogging of order 2 winds each arm before its staircase: friction opposes that."""
     bench = Bench(friction=4e-3, force_noise=1e-4, cogging=5e-3)
-    signals = bench.record((20,), angles=8)
-    plateaus = plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08)
-    zero = fit_staircases(plateaus).zero
-    (begins,) = asked[-1]
+    slopes, begins, _ = motion(bench.record((20,), angles=8))
     assert np.ptp(begins) > 0.2
-    assert abs(np.corrcoef(begins, zero)[0, 1]) > 0.9
+    assert abs(np.corrcoef(begins, slopes.zero)[0, 1]) > 0.9
+
+
+def test_each_arm_is_moved_with_the_friction_at_its_temperature(motion):
+    bench = Bench(friction=8e-3, force_noise=1e-4, ripple=(), saturation=0.0)
+    cold, warm = (
+        replace(bench, friction=size * bench.friction).record((degc,), angles=2)
+        for size, degc in ((1.1, 20), (0.9, 50))
+    )
+    warm["time"] = warm["time"] + cold["time"][-1] + 600.0
+    _, _, sizes = motion({name: np.concatenate([cold[name], warm[name]]) for name in cold})
+    np.testing.assert_allclose(sizes, [1.1, 1.1, 0.9, 0.9], atol=0.01)
 
 
 @pytest.mark.parametrize("asymmetry", [-0.15, 0.0, 0.15])
