@@ -85,11 +85,19 @@ def test_a_hypothesis_leaves_what_least_squares_leave_of_the_mean_staircase(stai
     # what least squares find of friction is possible, or else next to none is
     assert square == pytest.approx(left, rel=1e-6 if friction > 0 else 0.3)
     np.testing.assert_allclose(slope[0], without_curve[0, 0], rtol=1e-6 if friction > 0 else 2e-4)
-    # a loss by heat does not change with the temperature; friction may, or may not
+    # a loss by heat does not change with the temperature; friction may, by little, or may not
     heat_free = columns[:3] + columns[3 + (loss > 0) :]
-    for found_trend, kept in ((slope[1], heat_free), (slope[2], [*heat_free[:3], *heat_free[4:]])):
-        expected = fitted(kept)[0][0, 1]
-        assert found_trend == pytest.approx(expected, rel=1e-6 if friction > 0 else 0.01)
+    expected = fitted([*heat_free[:3], *heat_free[4:]])[0][0, 1]
+    assert slope[2] == pytest.approx(expected, rel=1e-6 if friction > 0 else 0.01)
+    if friction > 0:
+        every = [*columns, mean * np.abs(mean)]
+        rest = both - np.column_stack(every) @ fitted(every)[0]
+        row = np.zeros((1, len(heat_free)))
+        row[0, 3] = np.sqrt(rest[:, 1] @ rest[:, 1] / means.dof)
+        row[0, 3] /= 5e-3 * fitted(every)[0][len(columns) - 2, 0]
+        design = np.vstack([np.column_stack(heat_free), row])
+        expected = np.linalg.lstsq(design, np.append(both[:, 1], 0.0), rcond=None)[0][0]
+    assert slope[1] == pytest.approx(expected, rel=1e-6 if friction > 0 else 0.01)
     assert (variance[0] > 0) == (friction < 0)
     assert free == (friction < 0)
     if loss < 0:
