@@ -25,13 +25,15 @@ from rigtool.experiments.torque_constant.ripple_over_turn import (
 )
 from rigtool.experiments.torque_constant.staircases import fit
 from rigtool.experiments.torque_constant.staircases.fit import (
-    _either,
-    _friction_changes,
     _solve,
     _trend_scatter,
     fit_staircases,
 )
-from rigtool.experiments.torque_constant.staircases.mean_staircases import MeanStaircases
+from rigtool.experiments.torque_constant.staircases.friction_change import either, friction_changes
+from rigtool.experiments.torque_constant.staircases.mean_staircases import (
+    MeanStaircases,
+    _without,
+)
 from rigtool.experiments.torque_constant.staircases.model import (
     HEATING_TIME,
     Common,
@@ -248,51 +250,81 @@ def test_scatter_of_a_change_with_temperature_is_that_of_noise_on_the_plateaus()
     assert _trend_scatter(stairs, solution, trend, 2 * beyond) == 0.0
 
 
-def test_friction_changes_with_the_temperature_where_the_staircases_show_it():
-    """What friction may do to the coefficient is uncertain only as far as it may change."""
+def staircases_with_soft_contacts(noise: float):
+    """Return what makes staircases of friction that follows the current, nearly, and changes by a
+    part `growth` within 30 K."""
     bench = Bench(saturation=0.0)
     signals = bench.record((20, 50))
     stairs = arrange(plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.1))
     rise = np.where(stairs.temperature[:, 0] > 35, 15.0, -15.0)
-    trend = rise / (rise @ rise)
     rising = np.diff(stairs.setpoint, axis=1, prepend=-1.0) > 0
-    # soft contacts: friction follows the current, nearly
     loop = np.where(rising, -0.1, 0.1) * np.minimum(stairs.current, 1.0) - stairs.current / 4
     begun = np.exp(-np.arange(loop.shape[1])) + 0.0 * loop
-    noise = 1e-5 * np.random.default_rng(4).standard_normal(loop.shape)
+    drawn = noise * np.random.default_rng(4).standard_normal(loop.shape)
 
-    def found(growth):
+    def solved(growth):
         size = (1 + growth * rise / 30)[:, None]
         level = (0.05 * (1 - 1e-3 * rise))[:, None] * stairs.current
-        own = replace(stairs, torque=level + 2e-3 * size * loop + noise)
+        own = replace(stairs, torque=level + 2e-3 * size * loop + drawn)
         given = own, winding(own, 20.0), (loop, begun), -1e-3, rise
-        both = _solve(*given), _solve(*given, steady=True)
-        probability = _friction_changes(own, *both, trend)
-        values = [trend @ each.slope for each in both]
-        us = [
-            math.hypot(_trend_scatter(own, each, trend, 0.0), np.linalg.norm(trend * each.u))
-            for each in both
-        ]
-        return probability, values, us, _either(probability, values, us)
+        return own, (_solve(*given), _solve(*given, steady=True)), rise / (rise @ rise)
 
-    # none: the coefficient is that of friction which does not change, its u nearly so
-    probability, values, us, (value, u) = found(0.0)
+    return solved
+
+
+def changes_of(stairs, both, trend):
+    return friction_changes(stairs.weight, *(each.fit for each in both), trend)
+
+
+def test_friction_changes_with_the_temperature_where_the_staircases_show_it():
+    solved = staircases_with_soft_contacts(1e-5)
+
+    def found(growth):
+        own, both, trend = solved(growth)
+        probability, known = changes_of(own, both, trend)
+        return probability, known, [trend @ each.slope for each in both]
+
+    # none: a change that is nearly known from the staircases is not there
+    probability, known, _ = found(0.0)
     assert probability < 0.3
-    assert us[1] < 0.8 * us[0]
-    assert us[1] < u < 0.9 * us[0]
-    assert abs(value + 5e-5) < 3 * u
-    # a tenth: what takes it for none is off by far more than its u
-    probability, values, us, (value, u) = found(0.1)
+    assert 0.8 < known < 1.0
+    # a tenth: what takes it for none is off
+    probability, _, values = found(0.1)
     assert probability > 0.999
-    assert abs(values[1] + 5e-5) > 5 * us[1]
-    assert abs(value + 5e-5) < 3 * u
+    assert abs(values[1] + 5e-5) > 5 * abs(values[0] + 5e-5)
+
+
+def test_a_change_of_friction_that_no_staircase_shows_is_as_large_as_known_beforehand():
+    own, both, trend = staircases_with_soft_contacts(3e-3)(0.0)
+    probability, known = changes_of(own, both, trend)
+    assert known < 0.1
+    assert_allclose(probability, 0.5, atol=0.05)
+    # the variance left is that of 0.5 % a kelvin
+    scatter = (trend @ both[0].fit.residual).var() / (trend @ trend)
+    change = math.sqrt(known / (1 - known) * scatter * both[0].fit.shared_cover[-1, -1])
+    assert_allclose(change, 5e-3 * abs(both[1].fit.shared[1]), rtol=0.1)
+
+
+def test_a_change_with_temperature_is_that_of_least_squares_with_a_pseudo_observation():
+    """Beforehand a parameter is 0 with a variance: as a row of the design."""
+    drawn = np.random.default_rng(2)
+    design, torque, variance = drawn.standard_normal((9, 4)), drawn.standard_normal(9), 0.7
+    q, r = np.linalg.qr(design)
+    inverse = np.linalg.inv(r)
+    found = inverse @ (q.T @ torque)
+    row = np.array([[0.0, 0.0, 0.0, 1 / math.sqrt(variance)]])
+    expected = np.linalg.lstsq(np.vstack([design, row]), np.append(torque, 0.0), rcond=None)[0]
+    given = inverse[None, None], found[None, None], [-1]
+    each = (_without(*given, size)[0, 0] for size in (np.array([[variance]]), 0.0))
+    tied = np.linalg.lstsq(design[:, :3], torque, rcond=None)[0]
+    assert_allclose(list(each), [expected[0], tied[0]])
 
 
 def test_either_of_two_values_is_uncertain_by_their_difference():
     drawn = np.random.default_rng(5)
     first = drawn.random(200_000) < 0.3
     each = np.where(first, 2.0, 1.0) + np.where(first, 0.4, 0.1) * drawn.standard_normal(200_000)
-    assert_allclose(_either(0.3, [2.0, 1.0], [0.4, 0.1]), (each.mean(), each.std()), rtol=5e-3)
+    assert_allclose(either(0.3, [2.0, 1.0], [0.4, 0.1]), (each.mean(), each.std()), rtol=5e-3)
 
 
 def test_the_coefficient_is_the_mean_of_both_alternatives(monkeypatch):
@@ -301,7 +333,7 @@ def test_the_coefficient_is_the_mean_of_both_alternatives(monkeypatch):
     each = []
     for more in (0.0, 1e-6):
         monkeypatch.setattr(
-            fit, "_either", lambda _, trends, us, more=more: (trends[0] + more, 5e-7)
+            fit, "either", lambda _, trends, us, more=more: (trends[0] + more, 5e-7)
         )
         each.append(fit_staircases(plateaus))
     first, second = (_fit_temperature(slopes) for slopes in each)

@@ -11,6 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigtool.experiments.torque_constant.staircases.angle_losses import heat_loss, hidden_loss
+from rigtool.experiments.torque_constant.staircases.friction_change import (
+    between,
+    either,
+    friction_changes,
+    of_trend,
+)
 from rigtool.experiments.torque_constant.staircases.friction_cone import begins_with
 from rigtool.experiments.torque_constant.staircases.gauge_rounding import (
     rounding_errors,
@@ -47,6 +53,10 @@ from rigtool.quantity import Quantity
 COARSE = 1e-3
 """Relative uncertainty of a slope by the gauge's rounding from which hypotheses are tried on that
 rounding, too; below, it is little beside friction's own."""
+
+MOTIONS = 2
+"""Times that the arm is moved with the friction with which each staircase begins and which it has
+at its temperature, each with the solution so far."""
 
 
 @dataclass(frozen=True)
@@ -131,29 +141,36 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     tau, probable = hypotheses.time_constants()
     warm, range_u = mean_winding(stairs, tau, probable, trend)
     given = stairs, warm, hypotheses.means.friction_of_each(best), coefficient, rise
-    if given[2]:  # friction of each begins with its own, which shows in the first solution
-        begins = _begins(stairs, _solve(*given).fit)
-        friction = hypotheses.means.friction_of_each(best, begins)
+    both = _solve(*given), _solve(*given, steady=True)
+    for _ in range(MOTIONS if given[2] else 0):
+        motion = _begins(stairs, both[0].fit), _sizes(stairs, both, trend, rise)
+        friction = hypotheses.means.friction_of_each(best, *motion)
         given = *given[:2], friction, coefficient, rise
-    solution, steady = _solve(*given), _solve(*given, steady=True)
+        both = _solve(*given), _solve(*given, steady=True)
+    solution, steady = both
     hidden = hidden_loss(stairs, solution.warmed, _scatter(stairs, solution.warmed)[0])
     constant = hypotheses.constant
     share = abs(straight_slope(stairs) / constant - 1 + solution.heating)
     fitted = stairs.torque - solution.fit.residual
     errors = rounding_errors(stairs, fitted)
-    rounding = np.stack([solution.fit.solve(error)[0][:, 0] for error in errors])
+    changes, known = friction_changes(stairs.weight, solution.fit, steady.fit, trend)
+    roundings = [np.stack([each.fit.solve(one)[0][:, 0] for one in errors]) for each in both]
+    rounding = between(changes * known, *roundings)
     resolution_u, trend_resolution_u = (_rms(rounding @ each) for each in (average, trend))
     moved_u = 0.0
     if resolution_u > COARSE * abs(constant):
         moved_u = spread_over_zeros(plateaus, stairs, fitted + errors[::2], coefficient, trend)
     u, dof = _lack_of_fit(stairs, solution, average, resolution_u)
-    trends = [trend @ each.slope for each in (solution, steady)]
-    trend_us = [
-        math.hypot(_trend_scatter(stairs, each, trend, trend_resolution_u), drift)
-        for each, drift in ((solution, hypotheses.drift), (steady, hypotheses.steady_drift))
+    trends = [trend @ each.slope for each in both]
+    scatter = [
+        _trend_scatter(stairs, each, trend, _rms(its @ trend)) ** 2
+        for each, its in zip(both, roundings, strict=True)
     ]
-    changes = _friction_changes(stairs, solution, steady, trend)
-    moved, trend_u = _either(changes, trends, trend_us)
+    trend_us = [
+        math.sqrt(between(part, *scatter) + drift**2)
+        for part, drift in ((known, hypotheses.drift), (0.0, hypotheses.steady_drift))
+    ]
+    moved, trend_u = either(changes, [between(known, *trends), trends[1]], trend_us)
     in_ripple = ripple / max(float(ripple @ ripple), TINY)
     require_dithered(stairs, solution.fit.residual)
     require_straight(stairs, solution.slope, solution.u, solution.fit.residual, solution.off_line)
@@ -323,6 +340,16 @@ def _begins(stairs: Stairs, fit: LeastSquares) -> Array:
     return begins_with(fit.own[:, 2], u, float(fit.shared[1]))
 
 
+def _sizes(stairs: Stairs, both: tuple[_Solution, _Solution], trend: Array, rise: Array) -> Array:
+    """Return the friction that moves the arm in each staircase, over the mean (m,): with the change
+    that is likely, as it changes the path, too."""
+    changing, steady = (each.fit for each in both)
+    changes, known = friction_changes(stairs.weight, changing, steady, trend)
+    change = changes * known * float(changing.shared[-1])
+    sizes: Array = np.maximum(1 + change / max(float(steady.shared[1]), TINY) * rise, 0.0)
+    return sizes if steady.shared[1] > 0 else np.ones(len(rise))
+
+
 def _rms(values: Array) -> float:
     return math.sqrt(float(np.mean(values**2)))
 
@@ -346,42 +373,15 @@ def _lack_of_fit(
     return math.sqrt(max(float(covariance[0, 0]) - own, 0.0)), float(dof)
 
 
-def _friction_changes(
-    stairs: Stairs, changing: _Solution, steady: _Solution, trend: Array
-) -> float:
-    """Return the probability that friction changes with the temperature.
-
-    Beforehand, both are as probable; a change is as wide as a single residual shows it (R. E. Kass,
-    L. Wasserman, J. Am. Stat. Assoc. 90, 928, 1995). `trend` (m,) combines the staircases.
-    """
-    used = np.mean(stairs.weight, axis=0) > 0
-    free, tied = ((trend @ each.fit.residual)[used] for each in (changing, steady))
-    every = independent_samples(free, np.full(len(free), True), 1)
-    count = every * max(1 - changing.fit.design.shape[1] / len(free), 1 / len(free))
-    ratio = max(float(free @ free), TINY) / max(float(tied @ tied), TINY)
-    return 1 / (1 + math.sqrt(1 + every) * min(ratio, 1.0) ** (count / 2))
-
-
-def _either(probability: float, values: list[float], us: list[float]) -> tuple[float, float]:
-    """Return mean and standard deviation where the first of two has this `probability`."""
-    first, second = values
-    mean = second + probability * (first - second)
-    square = probability * us[0] ** 2 + (1 - probability) * us[1] ** 2
-    return mean, math.sqrt(square + probability * (1 - probability) * (first - second) ** 2)
-
-
 def _trend_scatter(stairs: Stairs, solution: _Solution, trend: Array, rounding_u: float) -> float:
     """Return the u that scatter gives a change of slopes with temperature, N m/(A K), or with the
     ripple, N m/A, as friction may change, too: beyond that of single slopes and the gauge's
     resolution, stated on their own.
 
-    `trend` (m,) combines the staircases. Residuals are correlated along the staircase.
+    `trend` (m,) combines the staircases.
     """
-    fit, used = solution.fit, np.mean(stairs.weight, axis=0) > 0
-    residual = (trend @ fit.residual)[used]
-    independent = independent_samples(residual, np.full(len(residual), True), 1)
-    free = max(len(residual) - fit.design.shape[1], 1) * independent / len(residual)
-    single = float(residual @ residual) / free / max(float(trend @ trend), TINY)
-    square = single * float(np.sum(fit.response(trend) ** 2))
+    left, free = of_trend(stairs.weight, solution.fit, trend)
+    single = left / free / max(float(trend @ trend), TINY)
+    square = single * float(np.sum(solution.fit.response(trend) ** 2))
     own = float(np.sum((trend * solution.u) ** 2)) + rounding_u**2
     return math.sqrt(max(square - own, 0.0))

@@ -20,7 +20,7 @@ class LeastSquares:
         self.inverse = np.linalg.pinv(columns)  # (m, c, p)
         self._shared, self._free = common, common - columns @ (self.inverse @ common)
         normal = np.einsum("mpc,mpd->cd", self._free, self._free)
-        self._normal = np.linalg.pinv(normal, hermitian=True)
+        self.shared_cover = np.linalg.pinv(normal, hermitian=True)  # for residuals of 1
         self.shared = self._coefficients(torque)  # (d,)
         self.own, rest = self.solve(torque)
         self.residual = rest - np.einsum("mpc,mc->mp", columns, self.own)
@@ -32,13 +32,13 @@ class LeastSquares:
         return np.einsum("mcp,mp->mc", self.inverse, rest), rest
 
     def _coefficients(self, torque: Array) -> Array:
-        found: Array = self._normal @ np.einsum("mpc,mp->c", self._free, torque)
+        found: Array = self.shared_cover @ np.einsum("mpc,mp->c", self._free, torque)
         return found
 
     def response(self, weight: Array) -> Array:
         """Return what each torque (m, p) adds to the sum of slopes weighted by (m,)."""
         direct = weight[:, None] * self.inverse[:, 0]
-        through = self._normal @ np.einsum("mp,mpc->c", direct, self._shared)
+        through = self.shared_cover @ np.einsum("mp,mpc->c", direct, self._shared)
         response: Array = direct - self._free @ through
         return response
 

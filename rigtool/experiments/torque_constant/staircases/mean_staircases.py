@@ -22,6 +22,7 @@ from rigtool.experiments.torque_constant.staircases.arm_motion import (
     one_sided,
     state_of,
 )
+from rigtool.experiments.torque_constant.staircases.friction_change import FRICTION_CHANGE
 from rigtool.experiments.torque_constant.staircases.friction_cone import positive, possible
 from rigtool.experiments.torque_constant.staircases.least_squares import left_by
 from rigtool.experiments.torque_constant.staircases.model import (
@@ -143,12 +144,14 @@ class MeanStaircases:
         law = _law(common)
         return self._moves(*law, *self._along_turns(*law, [common.lag]))
 
-    def friction_of_each(self, common: Common, begins: Array | None = None) -> tuple[Array, ...]:
+    def friction_of_each(
+        self, common: Common, begins: Array | None = None, sizes: Array | float = 1.0
+    ) -> tuple[Array, ...]:
         """Return columns of f and f z0 of each staircase (m, p), or nothing without friction.
 
         It is that of the arm's motion under the torque of each, which begins with the friction
-        `begins` (m,) over f, or with that of the mean. Ripple acts with a lag: what that does to
-        the turns of the arm is added.
+        `begins` (m,) over f, or with that of the mean, and is moved with `sizes` (m,) of f. Ripple
+        acts with a lag: what that does to the turns of the arm is added.
         """
         if common.transition is None:
             return ()
@@ -171,7 +174,8 @@ class MeanStaircases:
                 first, _ = one_sided(contacts.state[0, kind, :1], at_once[1], self.asymmetry)
                 first = first if begins is None else begins[:, None]
                 friction = at_once[0] + at_once[1] * first
-                contacts = replace(contacts, state=state_of(friction, self.asymmetry))
+                state = state_of(friction, self.asymmetry)
+                contacts = replace(contacts, level=contacts.level * sizes, state=state)
                 each = replace(courses, torque=torque, course=both[0], part=courses.part[kind])
                 own += np.concatenate(self.arm.friction_state(each, contacts)) - at_once
         a, b = -own * self.stairs.weight
@@ -221,8 +225,8 @@ class MeanStaircases:
         """Return what `_fit` does, for columns without a loss by heat or with one."""
         q, r = self._factors(current, lost, friction)
         projected = np.swapaxes(q, 2, 3) @ self._torque
-        rest = self._torque[..., 0] - (q @ projected[..., :1])[..., 0]
-        square = np.sum(rest**2, axis=2) @ self._share
+        rest = np.sum((self._torque - q @ projected) ** 2, axis=2)
+        square = rest[..., 0] @ self._share
         variance = (np.maximum(square, TINY) / self.dof)[:, None, None, None]
         # The inverse of a leading block of a triangle is the leading block of its inverse.
         inverse: Array = np.asarray(np.linalg.inv(r), dtype=np.float64)
@@ -235,9 +239,12 @@ class MeanStaircases:
         inverse = inverse[..., :-1, :-1]
         found = inverse @ projected[..., :-1, :]
         # Heat takes as much of the constant at all temperatures; friction may change with them.
-        heat = [3] if lost else []
+        tied = [3, -2] if lost else [-2]
+        change = (FRICTION_CHANGE * np.maximum(level, 0.0))[:, None] ** 2
+        each = rest[..., 1] / self.dof * self.kinds
+        change = change / np.maximum(each, 1e-12 * change + TINY)
         trend, steady = (
-            np.sum(_without(inverse, found[..., 1], tied), axis=1) for tied in (heat, [*heat, -2])
+            np.sum(_without(inverse, found[..., 1], tied, wide), axis=1) for wide in (change, 0.0)
         )
         found = found[..., :-2, :]
         # All else follows what is possible for friction.
@@ -403,10 +410,12 @@ def within_limits(asymmetry: float) -> float:
     return min(max(asymmetry, -LARGEST_ASYMMETRY), LARGEST_ASYMMETRY)
 
 
-def _without(inverse: Array, found: Array, known: list[int]) -> Array:
+def _without(inverse: Array, found: Array, known: list[int], variance: Array | float) -> Array:
     """Return the first of the parameters (s, g, c) that least squares find with inverse triangles
-    (s, g, c, c), if those `known` are zero."""
+    (s, g, c, c), if those `known` are zero, the last of them with this `variance` (s, g) over that
+    of a residual."""
     cover = inverse[..., [0, *known], :] @ np.swapaxes(inverse[..., known, :], 2, 3)
+    cover[..., -1, -1] += variance
     moved = np.linalg.solve(cover[..., 1:, :], found[..., known, None])
     rest: Array = found[..., 0] - (cover[..., :1, :] @ moved)[..., 0, 0]
     return rest

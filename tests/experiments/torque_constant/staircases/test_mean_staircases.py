@@ -85,11 +85,19 @@ def test_a_hypothesis_leaves_what_least_squares_leave_of_the_mean_staircase(stai
     # what least squares find of friction is possible, or else next to none is
     assert square == pytest.approx(left, rel=1e-6 if friction > 0 else 0.3)
     np.testing.assert_allclose(slope[0], without_curve[0, 0], rtol=1e-6 if friction > 0 else 2e-4)
-    # a loss by heat does not change with the temperature; friction may, or may not
+    # a loss by heat does not change with the temperature; friction may, by little, or may not
     heat_free = columns[:3] + columns[3 + (loss > 0) :]
-    for found_trend, kept in ((slope[1], heat_free), (slope[2], [*heat_free[:3], *heat_free[4:]])):
-        expected = fitted(kept)[0][0, 1]
-        assert found_trend == pytest.approx(expected, rel=1e-6 if friction > 0 else 0.01)
+    expected = fitted([*heat_free[:3], *heat_free[4:]])[0][0, 1]
+    assert slope[2] == pytest.approx(expected, rel=1e-6 if friction > 0 else 0.01)
+    if friction > 0:
+        every = [*columns, mean * np.abs(mean)]
+        rest = both - np.column_stack(every) @ fitted(every)[0]
+        row = np.zeros((1, len(heat_free)))
+        row[0, 3] = np.sqrt(rest[:, 1] @ rest[:, 1] / means.dof)
+        row[0, 3] /= 5e-3 * fitted(every)[0][len(columns) - 2, 0]
+        design = np.vstack([np.column_stack(heat_free), row])
+        expected = np.linalg.lstsq(design, np.append(both[:, 1], 0.0), rcond=None)[0][0]
+    assert slope[1] == pytest.approx(expected, rel=1e-6 if friction > 0 else 0.01)
     assert (variance[0] > 0) == (friction < 0)
     assert free == (friction < 0)
     if loss < 0:
@@ -225,22 +233,59 @@ def test_friction_of_each_staircase_begins_with_its_own(swinging_arm, monkeypatc
     assert off() > 3 * off(begins)
 
 
-def test_each_staircase_is_fitted_with_the_friction_with_which_it_begins(monkeypatch):
-    """Cogging of order 2 winds each arm before its staircase: friction opposes that."""
+def test_friction_that_differs_by_temperature_moves_each_arm(swinging_arm, monkeypatch):
+    means, law, contacts = swinging_arm
+    courses, sizes = means.stairs.courses, np.array([1.3, 1.3, 0.7, 0.7])
+    monkeypatch.setattr(means, "moves", lambda common: mean_of(contacts))
+    torque, course, _ = courses.of_each()
+    each = replace(courses, torque=torque, course=course, part=courses.part[[0] * 4])
+    arms, begins = replace(means.arm, steps=40), np.zeros(4)
+    own = replace(contacts, level=contacts.level * sizes)
+    for _ in range(20):
+        own = replace(own, state=np.column_stack([begins, own.state[:, 1:]]))
+        own = replace(own, state=arms.friction_state(each, own)[0])
+
+    def off(*known) -> float:
+        return float(np.abs(-means.friction_of_each(law, *known)[0] - own.state)[:, 1:].max())
+
+    assert off(begins, sizes) < 0.3 * off(begins)
+
+
+@pytest.fixture
+def motion(monkeypatch):
+    """Return what finds the friction with which staircases begin, and which moves their arms."""
     asked, of_each = [], MeanStaircases.friction_of_each
 
-    def spied(means, common, *begins):
-        asked.append(begins)
-        return of_each(means, common, *begins)
+    def spied(means, common, *known):
+        asked.append(known)
+        return of_each(means, common, *known)
+
+    def motion(signals):
+        plateaus = plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08)
+        slopes = fit_staircases(plateaus)
+        return slopes, *asked[-1]
 
     monkeypatch.setattr(MeanStaircases, "friction_of_each", spied)
+    return motion
+
+
+def test_each_staircase_is_fitted_with_the_friction_with_which_it_begins(motion):
+    """Cogging of order 2 winds each arm before its staircase: friction opposes that."""
     bench = Bench(friction=4e-3, force_noise=1e-4, cogging=5e-3)
-    signals = bench.record((20,), angles=8)
-    plateaus = plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08)
-    zero = fit_staircases(plateaus).zero
-    (begins,) = asked[-1]
+    slopes, begins, _ = motion(bench.record((20,), angles=8))
     assert np.ptp(begins) > 0.2
-    assert abs(np.corrcoef(begins, zero)[0, 1]) > 0.9
+    assert abs(np.corrcoef(begins, slopes.zero)[0, 1]) > 0.9
+
+
+def test_each_arm_is_moved_with_the_friction_at_its_temperature(motion):
+    bench = Bench(friction=8e-3, force_noise=1e-4, ripple=(), saturation=0.0)
+    cold, warm = (
+        replace(bench, friction=size * bench.friction).record((degc,), angles=2)
+        for size, degc in ((1.1, 20), (0.9, 50))
+    )
+    warm["time"] = warm["time"] + cold["time"][-1] + 600.0
+    _, _, sizes = motion({name: np.concatenate([cold[name], warm[name]]) for name in cold})
+    np.testing.assert_allclose(sizes, [1.1, 1.1, 0.9, 0.9], atol=0.01)
 
 
 @pytest.mark.parametrize("asymmetry", [-0.15, 0.0, 0.15])
