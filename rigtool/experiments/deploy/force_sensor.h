@@ -322,6 +322,15 @@ static inline rs_real rs_drive(struct rigtool_sensor *s, rs_real *viscous)
     return s->late - here[RS_COGGING] - s->ripple - s->taken;
 }
 
+/* Where the output is at the begin of a step, or where it has turned far within one. */
+static inline void rs_locate(struct rigtool_sensor *s)
+{
+    const rs_real angle = s->turn * RS_TURN + s->x[RS_GRASPER];
+    s->at = s->x[RS_GRASPER];
+    s->sine = RS_MATH(sin)(angle);
+    s->cosine = RS_MATH(cos)(angle);
+}
+
 /* Advance the states, and with them the columns of U, by one sample of the equations. */
 static inline void rs_advance(struct rigtool_sensor *s, rs_real torque, rs_real viscous)
 {
@@ -344,7 +353,9 @@ static inline void rs_advance(struct rigtool_sensor *s, rs_real torque, rs_real 
     rs_real by_z = level * (1 + rate) + x[RS_NOISE];
     rs_real by_w = viscous - 2 / m->stribeck_velocity * fast * bump * shape;
 
-    /* housing */
+    /* housing; sine and cosine by series that end, so within 3e-9 */
+    if (RS_MATH(fabs)(x[RS_GRASPER] - s->at) > (rs_real)0.05)
+        rs_locate(s);
     rs_real part, on = x[RS_GRASPER] - s->at, squared = on * on;
     int cell = rs_place(s->turn + x[RS_GRASPER] * (1 / RS_TURN), RS_HOUSING_CELLS, &part);
     const rs_real *low = rs_housing_map[cell], *high = rs_housing_map[cell + 1];
@@ -586,15 +597,6 @@ static inline void rs_pass(struct rigtool_sensor *s)
         for (j = 0; j < RS_ORDER; j++)
             s->own[i][j] = own[i][j];
     }
-}
-
-/* Where the output is at the begin of a step. */
-static inline void rs_locate(struct rigtool_sensor *s)
-{
-    const rs_real angle = s->turn * RS_TURN + s->x[RS_GRASPER];
-    s->at = s->x[RS_GRASPER];
-    s->sine = RS_MATH(sin)(angle);
-    s->cosine = RS_MATH(cos)(angle);
 }
 
 /* What is needed of the states before the samples of a step. */

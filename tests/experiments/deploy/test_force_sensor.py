@@ -241,6 +241,17 @@ def test_a_current_at_its_limit_has_no_value(tmp_path, samples):
     assert 0.05 < np.mean(wanted[:, 4] == State.OUTSIDE) < 0.9
 
 
+def test_a_current_that_would_turn_the_output_far_within_a_step_leaves_what_python_leaves(
+    libraries, samples
+):
+    part = samples["free"].copy()
+    part[1, 18000:18800] = -10.0  # while the encoder shows another motion
+    found, wanted = read(libraries["double"], part), expected(instrument(), part)
+    np.testing.assert_array_equal(found[:, 4], wanted[:, 4])
+    assert (wanted[2350:2500, 4] > 0).sum() > 40
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * RANGE)
+
+
 @pytest.mark.parametrize("kind", [(), (FLOAT,)])
 def test_sanitizers_find_nothing(tmp_path, samples, kind):
     (tmp_path / "sensor.h").write_text(header())
