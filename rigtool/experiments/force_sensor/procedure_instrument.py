@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_model.force_model import ForceModel
+from rigtool.experiments.force_sensor.commanded_inertia import commanded_inertia
 from rigtool.experiments.force_sensor.encoder_zero import EncoderZero
 from rigtool.experiments.force_sensor.procedure_calibration import changes, torque_per_current
 from rigtool.experiments.force_sensor.results_recordings import Recorded
@@ -75,7 +76,9 @@ def of_this_instrument(
     if zero is not None:
         by = math.hypot(by, zero.spread)
         notes.append(_of_zero(zero, tables))
-    if (heavier := unknown_inertia([part.turns for r in read for part in r.parts])) is not None:
+    every = [part for r in read for part in r.parts]
+    heavier = commanded_inertia([part.commanded for part in every])
+    if heavier := heavier or unknown_inertia([part.turns for part in every]):
         by = math.hypot(by, heavier.torque)
         notes.append(_of_inertia(heavier, tables))
     notes += _of_loads(forms, hand, model, kt)

@@ -20,6 +20,7 @@ from rigtool.experiments.force_filter.accuracy import (
 )
 from rigtool.experiments.force_filter.motion_states import STATE_NAMES, State, States
 from rigtool.experiments.force_model.contacts import Contact
+from rigtool.experiments.force_sensor.commanded_inertia import CommandedTurns
 from rigtool.experiments.force_sensor.response import Spectra, amplitude_bandwidth
 from rigtool.experiments.force_sensor.signal_faults import SignalFault
 from rigtool.experiments.force_sensor.unknown_friction import Passes
@@ -61,6 +62,7 @@ class TorqueRows:
     response: Spectra | None = None
     passes: tuple[Passes, ...] = ()
     turns: Turns = field(default_factory=Turns)
+    commanded: CommandedTurns = field(default_factory=CommandedTurns)
     faults: tuple[SignalFault, ...] = ()
 
     @property

@@ -24,6 +24,7 @@ from rigtool.experiments.force_filter.smoothed import ONSET_TIME, Smoother, with
 from rigtool.experiments.force_filter.swinging import TAKEN_VARIANCE
 from rigtool.experiments.force_model.contacts import Contact, contacts, trial
 from rigtool.experiments.force_model.intervals import uncertainty_of_kinds
+from rigtool.experiments.force_sensor.commanded_inertia import CommandedTurns
 from rigtool.experiments.force_sensor.response import Spectra
 from rigtool.experiments.force_sensor.results_over_time import TorqueRows, steps_of_a_row
 from rigtool.experiments.force_sensor.sensor import Sensed, Sensor, SensorProperties
@@ -58,6 +59,7 @@ ESTIMATED_TYPES = {
     "unfollowed": np.float32,
     "unbent": np.float32,
     "swing": np.float32,
+    "setpoint": np.float64,
     "opened": np.bool_,
 }
 """At each step, but for the causal torque, its u and state and the angle that was passed, which are
@@ -115,13 +117,15 @@ class Stretch:
         self._room = math.ceil(size * instrument.interval / step_time) + 1
         self._found: dict[str, NDArray[Any]] = {}
         self._filled: dict[str, int] = dict.fromkeys(ESTIMATED_TYPES, 0)
-        self._steps = self._limited = 0
+        self._steps = self._limited = self._samples = 0
         self.seconds = 0.0
 
     def add(self, samples: Array, setpoint: Array | None = None, *, last: bool = False) -> None:
         """Read samples (c, n): encoder, current, temperature, and the reference where it is. The
         set point (n,), rad, is only compared with the encoder."""
         samples = self.watch.add(samples, setpoint)
+        if setpoint is not None:
+            self._keep_setpoint(setpoint)
         sensed = self._sensor.add(samples, last=last)
         self._limited += int(np.count_nonzero(self._instrument.limited(samples[1])))
         self._settle(LATE_BLOCKS)
@@ -154,6 +158,14 @@ class Stretch:
         first = self._filled[name]
         self._filled[name] = first + len(values)
         self._found[name][first : first + len(values)] = values
+
+    def _keep_setpoint(self, setpoint: Array) -> None:
+        """Keep those of the rows: which of its samples a row has is the same for all, almost."""
+        row = self._every * self._instrument.grid.step_time / self._instrument.interval
+        first, last = (math.ceil(n / row) for n in (self._samples, self._samples + len(setpoint)))
+        places = (row * np.arange(first, last)).astype(int) - self._samples
+        self._samples += len(setpoint)
+        self._keep("setpoint", setpoint[places])
 
     def _settle(self, left: int = 0) -> None:
         """Wait for what is done beside, until only the last blocks are `left` to each worker."""
@@ -228,6 +240,7 @@ class Stretch:
         passed = self._taken("passed")
         at = step_time * every, passed, sliding, self._instrument.reach.angle
         output = passed / self._instrument.model.learned.known.angle_ratio
+        turns, commanded = self._turns(output, inside[rows], torque[rows], u)
 
         def judged_rows(values: Array) -> Array:
             return np.where(judged[rows], values[rows], np.nan)  # the steps' memory goes
@@ -258,9 +271,23 @@ class Stretch:
                 else Spectra.of(torque, reference, inside & judged, rate),
                 faults=faults,
                 passes=tuple(Passes.of(*at, t, u) for t in (torque[rows], torque[rows] + ripple)),
-                turns=Turns.of(step_time * every, output, inside[rows], torque[rows], u),
+                turns=turns,
+                commanded=commanded,
             )
         ]
+
+    def _turns(
+        self, output: Array, known: Mask, torque: Array, u: Array
+    ) -> tuple[Turns, CommandedTurns]:
+        """Return the turns of the rows: angle of the output (m,) rad, where the torque is `known`,
+        torque and u; those of the set point instead, where all of it is known."""
+        step_time, rows = self._instrument.grid.step_time * self._every, (known, torque, u)
+        wanted = self._taken("setpoint") if "setpoint" in self._found else np.empty(0)
+        if not len(wanted) or not np.isfinite(wanted).all():
+            return Turns.of(step_time, output, *rows), CommandedTurns()
+        wanted = np.pad(wanted[: len(output)], (0, max(0, len(output) - len(wanted))), mode="edge")
+        ratio = self._instrument.model.learned.known.angle_ratio
+        return Turns(), CommandedTurns.of(step_time, wanted / ratio, *rows)
 
     def _taken(self, name: str) -> Any:
         """Return what was kept as one, and keep it no longer."""

@@ -13,6 +13,7 @@ from rigtool.experiments.force_sensor import (
     procedure_instrument,
     procedure_over_time,
 )
+from rigtool.experiments.force_sensor.commanded_inertia import CommandedTurns
 from rigtool.experiments.force_sensor.encoder_zero import EncoderZero
 from rigtool.experiments.force_sensor.procedure_calibration import require_calibration
 from rigtool.experiments.force_sensor.procedure_instrument import (
@@ -39,7 +40,8 @@ class Part:
 
     def __init__(self, states=(), limited=0, faults=(), seen=None):
         self.states, self.limited, self.faults = np.array(states), limited, faults
-        self.passes, self.seen, self.turns = ("with", "without"), seen, Turns()
+        self.passes, self.seen = ("with", "without"), seen
+        self.turns, self.commanded = Turns(), CommandedTurns()
 
     def widened(self, by, share):
         self.seen.append((by, share))

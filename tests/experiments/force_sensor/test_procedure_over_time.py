@@ -14,13 +14,13 @@ from rigtool.errors import InsufficientDataError, RecipeError, RunFileError, Usa
 from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
 from rigtool.experiments.force_filter.motion_states import LIMIT_TIME, State
 from rigtool.experiments.force_sensor import procedure_reading
+from rigtool.experiments.force_sensor.commanded_inertia import CommandedTurns
 from rigtool.experiments.force_sensor.procedure_live import LiveForce
 from rigtool.experiments.force_sensor.procedure_over_time import (
     analyse_over_time,
     model_and_reach,
     over_time,
 )
-from rigtool.experiments.force_sensor.unknown_inertia import Turns
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.recipe import load_recipe
 from rigtool.runfile import RecordingSpec, RunWriter, open_run
@@ -78,16 +78,21 @@ def test_the_reference_judges_each_form(strokes):
 
 
 def test_a_stored_run_gives_the_same_again(rig, strokes, monkeypatch):
-    """Inertia that nobody learned is sought in the rows of the table."""
-    sought, of = [], Turns.of
-    monkeypatch.setattr(Turns, "of", lambda *rows: sought.append(rows) or of(*rows))
+    """Inertia that nobody learned is sought in the rows of the table, by their set points."""
+    sought, of = [], CommandedTurns.of
+    monkeypatch.setattr(CommandedTurns, "of", lambda *rows: sought.append(rows) or of(*rows))
     again = run(
         MEASURE_FORCE, rig.folder / "strokes.h5", rig.folder / "again.h5", kt=KT, tables=rig.tables
     )
     for name in strokes.tables["force"].columns:
         np.testing.assert_array_equal(again.tables["force"][name], strokes.tables["force"][name])
-    ((step_time, _, known, torque, u),) = sought
+    ((step_time, setpoint, known, torque, u),) = sought
     force = again.tables["force"]
+    with open_run(rig.folder / "strokes.h5") as stored:
+        moved = stored.recording("strokes_000")
+        time, wanted = moved.read("time"), moved.read("position_setpoint")
+    wanted = np.interp(force["time"], time, wanted)
+    np.testing.assert_allclose(setpoint * 0.85, wanted, atol=2e-3 * np.ptp(wanted))
     np.testing.assert_allclose(np.diff(force["time"]), step_time, rtol=1e-6)
     np.testing.assert_array_equal(known, np.isfinite(force["torque"]))
     np.testing.assert_allclose(torque[known], force["torque"][known], rtol=1e-12)

@@ -1,0 +1,85 @@
+"""An inertia that was not learned, by the accelerations of a set point."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rigtool.experiments.force_sensor.commanded_inertia import CommandedTurns, commanded_inertia
+from tests.experiments.force_sensor.test_unknown_inertia import (
+    STEP,
+    TIME,
+    U,
+    drawn,
+    strokes,
+)
+
+ANGLE, ACCELERATION, SPEED = strokes()
+ANGLE -= SPEED * STEP / 2  # where the rotor is at the time of its speed
+
+
+def turns(torque):
+    known, u = np.ones(len(TIME), bool), np.full(len(TIME), U)
+    return CommandedTurns.of(STEP, ANGLE, known, torque, u)
+
+
+def pulses(rng):
+    """Forces of 0.1 to 1.5 s, 1 s apart or more, that act in half of all changes of speed."""
+    torque, at = np.zeros(len(TIME)), 0.0
+    while at < TIME[-1]:
+        length = rng.uniform(0.1, 1.5)
+        torque[(at < TIME) & (at + length > TIME)] = rng.uniform(2e-3, 40e-3)
+        at += length + rng.uniform(1.0, 2.0)
+    return torque
+
+
+@settings(max_examples=10)
+@given(seed=st.integers(0, 2**31), inertia=st.floats(20e-6, 60e-6))
+def test_an_inertia_is_found_below_pulses(seed, inertia):
+    rng = np.random.default_rng(seed)
+    found = commanded_inertia([turns(drawn(rng) + pulses(rng) + inertia * ACCELERATION)])
+    assert found is not None
+    assert found.inertia == pytest.approx(inertia, rel=0.6)
+    assert found.torque == pytest.approx(found.inertia * np.abs(ACCELERATION).max(), rel=0.5)
+
+
+@settings(max_examples=10)
+@given(seed=st.integers(0, 2**31), stiffness=st.floats(0, 0.05), friction=st.floats(-5e-3, 5e-3))
+def test_pulses_springs_at_either_end_and_friction_are_no_inertia(seed, stiffness, friction):
+    rng = np.random.default_rng(seed)
+    beyond = np.maximum(ANGLE - 0.8 * ANGLE.max(), 0)
+    other = drawn(rng) + pulses(rng) + friction * np.sign(SPEED)
+    for spring in (stiffness * beyond, -stiffness * beyond):
+        assert commanded_inertia([turns(other + spring)]) is None
+
+
+@pytest.mark.parametrize("phase", [0.0, 1.0, 2.0, 3.0])
+@pytest.mark.parametrize("hertz", [5.0, 7.1, 10.0, 10.2])
+def test_a_force_that_swings_the_rotor_is_no_inertia_in_step_with_the_strokes_either(hertz, phase):
+    force = 20e-3 * np.sin(2 * np.pi * hertz * TIME + phase)
+    own = turns(drawn(np.random.default_rng(3)) + force)
+    assert len(own.u) >= 20
+    assert commanded_inertia([own]) is None
+
+
+@pytest.mark.parametrize("part", ["few", "unknown", "coarse", "short", "held"])
+def test_where_no_turns_are_asked_for_nothing_is_said(part):
+    torque, u, known = 40e-6 * ACCELERATION, np.full(len(TIME), U), np.ones(len(TIME), bool)
+    span = slice(0, {"few": 900, "short": 70}.get(part, 4000), {"coarse": 4}.get(part, 1))
+    if part == "unknown":
+        known = np.abs(ACCELERATION) < 1
+    setpoint = 0 * ANGLE + 1.0 if part == "held" else ANGLE
+    rows = (row[span] for row in (setpoint, known, torque, u))
+    own = CommandedTurns.of(STEP * (span.step or 1), *rows)
+    assert commanded_inertia([own]) is None
+    if part == "few":
+        assert commanded_inertia([own, own]) is not None
+
+
+def test_stretches_of_several_rates_are_taken_together():
+    torque, u, known = 40e-6 * ACCELERATION, np.full(len(TIME), U), np.ones(len(TIME), bool)
+    rows = ANGLE, known, torque, u
+    coarse = CommandedTurns.of(2 * STEP, *(row[:800:2] for row in rows))
+    found = commanded_inertia([coarse, CommandedTurns.of(STEP, *(row[800:1600] for row in rows))])
+    assert found is not None
+    assert found.inertia == pytest.approx(40e-6, rel=0.1)
