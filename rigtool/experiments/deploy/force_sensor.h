@@ -128,6 +128,7 @@ struct rs_model {
     rs_real wave_lag, wave_unfollowed[RS_ORDERS][1 + RS_POWERS];
     /* under either hypothesis, the learned power-up first */
     rs_real wave_mean[2][RS_WAVES], wave_variance[2][RS_WAVES], wave_doubt[2][RS_WAVES];
+    rs_real wave_square; /* the sum of the amplitudes' squares */
     rs_real row_noise, row_walk[2], row_reversal, row_contact, row_untouched, row_kept;
     rs_real row_begins, row_ends, row_changes, row_least, row_evidence, row_certain, row_largest;
     rs_real row_recognised, row_lasts, row_lasting, row_drift, row_least_lasts, row_same;
@@ -1228,15 +1229,18 @@ static inline void rs_row(struct rigtool_sensor *s)
     s->row_length = RS_ROW_STEPS / 2 + RS_ROW_STEPS * s->row_drawn / RS_DRAW_MODULUS;
 }
 
-/* The variance of the ripple of another power-up that is not followed. */
-static inline rs_real rs_unfollowed(const struct rigtool_sensor *s)
+/* The variance of all ripple: that of what is followed, which has grown with the current as the
+ * ripple has, and that of another power-up's that is not. */
+static inline rs_real rs_rippling(const struct rigtool_sensor *s)
 {
     const struct rs_model *m = &rs_model;
     const rs_real current = (s->current_before + s->current) / 2, size = RS_MATH(fabs)(current);
     const rs_real warm = (s->temperature_before + s->temperature) / 2;
     const rs_real constant = m->constant + m->constant_slope * warm;
-    const rs_real *u = s->unfollowed, growing = u[1] + size * (u[2] + size * u[3]);
-    return u[0] + rs_square(constant * current) * growing;
+    const rs_real *u = s->unfollowed, growing = rs_square(constant * current)
+        * (u[1] + size * (u[2] + size * u[3]));
+    const rs_real grown = m->wave_square > 0 ? RS_MATH(sqrt)(growing / m->wave_square) : (rs_real)0;
+    return s->ripple_spread * (1 + 2 * grown) + s->counts[1] * (u[0] + growing);
 }
 
 /* Renew now and then by what is known what each wave takes off the drive torque. */
@@ -1295,7 +1299,7 @@ static inline rs_real rs_rippled(struct rigtool_sensor *s, rs_real *variance)
     s->taken = taken;
     if (s->row_steps % RS_SPREAD_STEPS == 0) /* waves hardly change within that */
         s->ripple_spread = rs_ripple_spread(s, mean);
-    *variance = s->ripple_spread + s->counts[1] * rs_unfollowed(s);
+    *variance = rs_rippling(s);
     left = m->torque_factor * (mean - s->shown[RS_WAVES].seen);
     ripple = c[RS_ORDER] * left;
     for (i = 0; i < RS_ORDER; i++) {

@@ -207,6 +207,7 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
         "wave_turn": step_time / shown_ripple.turned_inertia(plant),
         "wave_mean": np.stack([0 * learned.coefficient, -learned.coefficient]),
         "wave_variance": both,
+        "wave_square": plant.torque_factor**2 * learned.drawn.sum(),
         "wave_doubt": both * (ripple_rows.WAVE_COUNT * row_time / ripple_rows.FORGOTTEN),
         "row_noise": (ripple_rows.NOISE * size) ** 2,
         "row_walk": (np.array(ripple_rows.WALKS) * size) ** 2 * row_time,

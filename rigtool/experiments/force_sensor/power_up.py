@@ -33,7 +33,11 @@ Applications to Tracking and Navigation, 2001, section 11.6.2, static multiple m
 A weak contact may also act all the time (`lasting_contact`), under each of the two.
 
 The strongest orders that were learned are followed. The other ones, and what of the ripple grows
-with the current, are in the variance alone (`drawn_ripple`).
+with the current, are in the variance alone (`drawn_ripple`). One misalignment has the same phases
+at all currents, so that what is not known of a ripple grows as the ripple does. With the share r by
+which it has grown, and the variance V of what is followed, the covariance of both errors is r V:
+
+    variance = V (1 + 2 r) + variance of what is not followed,   r^2 = (kT i)^2 A(i)^2 / A^2.
 
 What is known of the ripple is taken off the drive torque of the filter, as its friction depends on
 the torque: renewed every `HELD_TIME`, and what the filter's torque then lacks follows from the same
@@ -96,7 +100,8 @@ class PowerUp:
         self._held_steps = held_steps(step_time)
         numbers = lag, factor, steps, time, factor * size, late, step_time, inertia
         load = plant.load_friction, plant.load_friction_onset
-        others = self._held_steps, lag_time, learned.orders, learned.unfollowed
+        square = learned.drawn.sum()
+        others = self._held_steps, lag_time, square, learned.orders, learned.unfollowed
         self._parameters = np.array(
             [(*numbers, *housing, slow, shown, *load, *others)], dtype=PARAMETERS
         )
@@ -142,10 +147,10 @@ class PowerUp:
 
     def add(
         self, angle: Array, states: Array, gains: Array, drive: Array, taken: Array
-    ) -> tuple[Array, Array, Array, Array]:
+    ) -> tuple[Array, ...]:
         """Return them from these steps and those before, torque behind the low-pass (m,) less what
-        `taken` left of it, and the variance (m,) N2 m2 that ripple which is not followed has if
-        the power-up is another one.
+        `taken` left of it; the variance (m,) N2 m2 that ripple which is not followed has if the
+        power-up is another one; and by what part ripple has grown with the current (m,).
 
         `angle` (m,) rad is the rotor's, `states` (m, 12) those of the causal filter, `gains` (m, 6)
         its `Estimate.gains`, `drive` (m, 2) the motor's torque N m and its current A; `taken` (m,)
@@ -171,7 +176,12 @@ class PowerUp:
         state = self._state.copy()
         state["waves"] = 0.0
         none = np.zeros(0, np.bool_), np.zeros((0, 0)), np.zeros((0, 3))
-        return lambda angle, torque: self._followed(state, angle, torque, *none)[:3]
+
+        def whole(angle: Array, torque: Array) -> tuple[Array, Array, Array]:
+            ripple, variance, less, *_ = self._followed(state, angle, torque, *none)
+            return ripple, variance, less
+
+        return whole
 
     def _followed(
         self,
@@ -181,12 +191,11 @@ class PowerUp:
         sliding: NDArray[np.bool_],
         follows: Array,
         drive: Array,
-    ) -> tuple[Array, Array, Array, Array]:
-        found = np.empty((4, len(angle)))
+    ) -> tuple[Array, ...]:
+        found = np.empty((5, len(angle)))
         signals = angle, np.ascontiguousarray(torque), sliding, follows, drive
         _follow(state, self._parameters, self._low_pass, *signals, found)
-        ripple, variance, less, unfollowed = found
-        return ripple, variance, less, unfollowed
+        return tuple(found)
 
 
 @compiled
@@ -227,8 +236,8 @@ def _follow(
     drive: Array,
     found: Array,
 ) -> None:
-    """Advance by m steps; `found` (4, m) receives ripple, variance, drive torque, and the
-    variance of what is not followed at another power-up.
+    """Advance by m steps; `found` (5, m) receives ripple, variance, drive torque, the variance of
+    what is not followed at another power-up, and by what part ripple has grown.
 
     Where `sliding` is given, it learns, and ripple passes the low-pass.
     """
@@ -259,13 +268,15 @@ def _follow(
                 for j in range(i):
                     total += s.doubt[i, j] * shown[j]
                 s.spread += 2.0 * p.factor**2 * shown[i] * total
-        unfollowed = 0.0
+        unfollowed = grown = 0.0
         if drive.shape[0]:
             size, u = abs(drive[k, 1]), s.unfollowed
             growing = u[1] + size * (u[2] + size * u[3])
-            unfollowed = p.factor**2 * (u[0] + drive[k, 0] ** 2 * growing)
-        found[0, k], found[1, k] = mean, s.spread + s.counts[1] * unfollowed
-        found[2, k], found[3, k] = less, unfollowed
+            growing *= drive[k, 0] ** 2
+            unfollowed = p.factor**2 * (u[0] + growing)
+            grown = math.sqrt(growing / p.square) if p.square > 0.0 else 0.0
+        found[0, k], found[1, k] = mean, s.spread * (1.0 + 2.0 * grown) + s.counts[1] * unfollowed
+        found[2, k], found[3, k], found[4, k] = less, unfollowed, grown
         if sliding.shape[0]:
             left, (first, second) = mean - p.factor * s.seen[WAVE_COUNT], s.passed
             found[0, k] = low_pass[2, 0] * first + low_pass[2, 1] * second

@@ -90,10 +90,10 @@ LEAST_PART = 1e-9
 PARAMETERS = np.dtype(
     [(name, "f8") for name in ("lag", "factor", "steps", "time", "size", "late")]
     + [(name, "f8") for name in ("step_time", "inertia", "friction", "length", "slow", "shown")]
-    + [(name, "f8") for name in ("load_friction", "onset", "held", "lag_time")]
+    + [(name, "f8") for name in ("load_friction", "onset", "held", "lag_time", "square")]
     + [("orders", "i8", (FOLLOWED,)), ("unfollowed", "f8", (len(ROTOR_ORDERS), 4))]
 )
-"""`orders` and `unfollowed` are those of `drawn_ripple`."""
+"""`orders` and `unfollowed` are those of `drawn_ripple`, `square` is the sum of A^2."""
 
 WAVE_COUNT = 2 * FOLLOWED
 

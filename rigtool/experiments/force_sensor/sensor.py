@@ -156,9 +156,10 @@ class Sensed:
 
     `signals` are what the filter took, for another one; `less` (m,) N m is what that ripple takes
     off the drive torque, `doubt` (m,) N m its standard deviation on the output, and `unfollowed`
-    (m,) N2 m2 the variance of what is not followed if the power-up is another one; `kinds` (m,) are
-    those of errors, `Judged.kinds`; `unbent` (m,) is what bristles lack of being bent where the
-    rotor creeps; `swing` (m,) N2 m2 is how far the torque swings.
+    (m,) N2 m2 the variance of what is not followed if the power-up is another one; `grown` (m,) is
+    by what part ripple has grown with the current; `kinds` (m,) those of errors, `Judged.kinds`;
+    `unbent` (m,) is what bristles lack of being bent where the rotor creeps; `swing` (m,) N2 m2 is
+    how far the torque swings.
     """
 
     estimate: Estimate
@@ -172,6 +173,7 @@ class Sensed:
     less: Array
     doubt: Array
     unfollowed: Array
+    grown: Array
     unbent: Array
     swing: Array
 
@@ -214,7 +216,7 @@ class Sensor:
         signals, riding = self._sampler.add(every, last=last)
         amperes, torque_constant, *found = self._stepper.add(riding)
         drive = np.column_stack([torque_constant * amperes, amperes])
-        estimate, (ripple, variance, less, unfollowed) = self._filtered(signals, drive)
+        estimate, (ripple, variance, less, unfollowed, grown) = self._filtered(signals, drive)
         torque = estimate.passed - ripple
         if self._before is None:
             found[1][:1] = 1.0
@@ -237,11 +239,11 @@ class Sensor:
         u = uncertainty_of_kinds(scales, deviation, torque, kinds, wider, opened, least)
         doubt = np.sqrt(variance)
         own = estimate, torque, u, moments, states, kinds, found[2:], signals, less, doubt
-        return Sensed(*own, unfollowed, unbent, swing)
+        return Sensed(*own, unfollowed, grown, unbent, swing)
 
     def _filtered(self, signals: Signals, drive: Array) -> tuple[Estimate, Array]:
         """Return the estimate after the steps that these samples complete, with what is known of
-        the ripple taken off the drive torque, and `PowerUp.add` (4, m)."""
+        the ripple taken off the drive torque, and `PowerUp.add` (5, m)."""
         estimates, ripples, first = [], [], 0
         while True:
             piece, signals = self._filter.pieces(signals, self.power_up.steps_ahead)

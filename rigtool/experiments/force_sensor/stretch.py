@@ -57,6 +57,7 @@ ESTIMATED_TYPES = {
     "untouched_u": np.float32,
     "doubt": np.float32,
     "unfollowed": np.float32,
+    "grown": np.float32,
     "unbent": np.float32,
     "swing": np.float32,
     "setpoint": np.float64,
@@ -139,6 +140,7 @@ class Stretch:
         self._keep("causal", sensed.torque[rows])
         self._keep("causal_u", sensed.u[rows])
         self._keep("unfollowed", sensed.unfollowed[rows])
+        self._keep("grown", sensed.grown[rows])
         self._keep("unbent", sensed.unbent[rows])
         self._keep("swing", sensed.swing[rows])
         self._keep("opened", estimate.opened)
@@ -323,7 +325,8 @@ class Stretch:
         deviation[-len(ahead) :] = np.hypot(deviation[-len(ahead) :], ahead)
         kinds = self._taken("kinds")[::every]
         unfollowed = self._sensor.power_up.counted * self._taken("unfollowed")
-        variance = np.concatenate(variances) + unfollowed
+        grown = 1 + 2 * self._taken("grown").astype(float)
+        variance = np.concatenate(variances) * grown + unfollowed
         swing, held = self._taken("swing"), self._taken("held")[::every]
         variance += TAKEN_VARIANCE * swing
         holding, unbent = self._taken("holding")[::every], self._taken("unbent")

@@ -156,7 +156,7 @@ def test_the_unit_of_torque_changes_nothing(gain):
         scaled = states.copy()
         scaled[:, TORQUE] *= scale
         power_up = PowerUp(in_unit(model(1e-4), scale), STEP, BANDWIDTH)
-        found, variance, less, _ = power_up.add(angle, scaled, gains, drive, taken)
+        found, variance, less, *_ = power_up.add(angle, scaled, gains, drive, taken)
         whole, left, _ = power_up.whole(angle, scaled[:, TORQUE])
         torques, variances = np.stack([found, less, whole]), np.stack([variance, left])
         results.append((torques / scale, variances / scale**2, power_up.probability))

@@ -129,6 +129,7 @@ def test_it_is_followed_from_the_learned_power_up_on(step_time):
         "lag_time": LEARNED.shape.ripple_time,
         "orders": learned.orders,
         "unfollowed": learned.unfollowed,
+        "square": drawn.sum(),
     }
     assert set(expected) == set(p.dtype.names)
     for name, value in expected.items():
@@ -210,7 +211,7 @@ def test_each_step_gives_mean_and_variance_of_what_is_known():
     orders, means, held = np.repeat(learned.orders, 2), [], 0.0
     by_order = s["unfollowed"].copy()  # at rest, until a row is full
     for k in range(size):
-        ripple, variance, less, unfollowed = own.add(
+        ripple, variance, less, unfollowed, grown = own.add(
             angle[[k]], states[[k]], 0.01 * np.ones((1, 6)), drive[[k]], taken[[k]]
         )
         fresh = np.where(np.arange(count) % 2, np.sin(orders * angle[k]), np.cos(orders * angle[k]))
@@ -219,10 +220,12 @@ def test_each_step_gives_mean_and_variance_of_what_is_known():
         grows = by_order[1:] @ np.abs(current[k]) ** np.arange(3)
         expected = factor**2 * (by_order[0] + (0.045 * current[k]) ** 2 * grows)
         assert_allclose(unfollowed, [expected])
+        by = (0.045 * current[k]) ** 2 * grows / learned.drawn.sum()
+        assert_allclose(grown, [math.sqrt(by)])
         *seen, left = factor * s["seen"]
         if (k + 1) % SPREAD_STEPS == 0:
             held = seen @ covariance @ seen
-        assert_allclose(variance, held + 0.6 * unfollowed)
+        assert_allclose(variance, held * (1 + 2 * grown) + 0.6 * unfollowed)
         assert_allclose(less, before @ s["known"])
         means.append(seen @ s["known"] - left)
         assert_allclose(ripple[0], lfilter(*butter(2, 10.0, fs=1 / step), means)[-1])

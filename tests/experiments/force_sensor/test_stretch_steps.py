@@ -82,7 +82,7 @@ class Sensed:
         number = self.steps + np.arange(float(samples.shape[1]))
         self.steps += samples.shape[1]
         estimate = SimpleNamespace(low=number, opened=number % 3 == 0)
-        names = ("less", "torque", "u", "unfollowed", "unbent", "swing")
+        names = ("less", "torque", "u", "unfollowed", "grown", "unbent", "swing")
         columns = {name: number + 1000 * k for k, name in enumerate(names)}
         columns["states"] = number % 5
         moments = Moments(*[number] * 7)
@@ -110,7 +110,8 @@ def test_rows_are_every_so_many_steps_whatever_the_blocks_are(every, blocks, mon
     assert found._steps == 40
     assert asked == [(own.grid.step_time, own.corner_hz)]
     rows = np.arange(0.0, 40.0, every)
-    for number, name in enumerate(("less", "causal", "causal_u", "unfollowed", "unbent", "swing")):
+    kept = ("less", "causal", "causal_u", "unfollowed", "grown", "unbent", "swing")
+    for number, name in enumerate(kept):
         expected = np.arange(40.0) if name == "less" else rows
         assert_allclose(found._taken(name), expected + 1000 * number)
     assert_allclose(found._taken("passed"), rows + own.count / 2)
