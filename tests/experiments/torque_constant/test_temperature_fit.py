@@ -30,10 +30,8 @@ from rigtool.experiments.torque_constant.staircases.fit import (
     fit_staircases,
 )
 from rigtool.experiments.torque_constant.staircases.friction_change import either, friction_changes
-from rigtool.experiments.torque_constant.staircases.mean_staircases import (
-    MeanStaircases,
-    _without,
-)
+from rigtool.experiments.torque_constant.staircases.least_squares import without_known
+from rigtool.experiments.torque_constant.staircases.mean_staircases import MeanStaircases
 from rigtool.experiments.torque_constant.staircases.model import (
     HEATING_TIME,
     Common,
@@ -315,7 +313,7 @@ def test_a_change_with_temperature_is_that_of_least_squares_with_a_pseudo_observ
     row = np.array([[0.0, 0.0, 0.0, 1 / math.sqrt(variance)]])
     expected = np.linalg.lstsq(np.vstack([design, row]), np.append(torque, 0.0), rcond=None)[0]
     given = inverse[None, None], found[None, None], [-1]
-    each = (_without(*given, size)[0, 0] for size in (np.array([[variance]]), 0.0))
+    each = (without_known(*given, size)[0, 0] for size in (np.array([[variance]]), 0.0))
     tied = np.linalg.lstsq(design[:, :3], torque, rcond=None)[0]
     assert_allclose(list(each), [expected[0], tied[0]])
 

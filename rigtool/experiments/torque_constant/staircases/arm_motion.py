@@ -38,6 +38,9 @@ STRIDE = 1.5
 """Ratio of the natural frequencies of arms with one of which the search begins; the slowest of them
 swings half a period on a plateau."""
 
+LARGEST_ASYMMETRY = 0.45
+"""From half on, friction z (1 + A z) would not grow with its state z everywhere."""
+
 RANGE = math.log(5.0)
 """Natural frequency and lag are searched up to this beyond where the search begins, logarithm."""
 
@@ -143,6 +146,11 @@ def state_of(friction: Array, asymmetry: float) -> Array:
     root = np.sqrt(np.maximum(1 + 4 * asymmetry * friction, 0.0))
     state: Array = np.clip(2 * friction / (1 + root), -1.0, 1.0)
     return state
+
+
+def within_limits(asymmetry: float) -> float:
+    """Return the nearest relative asymmetry with which friction grows with its state."""
+    return min(max(asymmetry, -LARGEST_ASYMMETRY), LARGEST_ASYMMETRY)
 
 
 def arm_of(courses: Courses, contacts: Contacts) -> Arm | None:

@@ -40,10 +40,10 @@ from itertools import product
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.torque_constant.staircases.arm_motion import within_limits
 from rigtool.experiments.torque_constant.staircases.mean_staircases import (
     ASYMMETRY,
     MeanStaircases,
-    within_limits,
 )
 from rigtool.experiments.torque_constant.staircases.model import Common, Stairs
 from rigtool.experiments.torque_constant.staircases.swings import longest_lag

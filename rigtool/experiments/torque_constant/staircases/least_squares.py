@@ -48,3 +48,14 @@ def left_by(columns: list[Array], torque: Array) -> Array:
     q, _ = np.linalg.qr(np.stack(columns, axis=2))
     rest: Array = torque - np.einsum("gpc,gc->gp", q, np.einsum("gpc,gp->gc", q, torque))
     return rest
+
+
+def without_known(inverse: Array, found: Array, known: list[int], variance: Array | float) -> Array:
+    """Return the first of the parameters (s, g, c) that least squares find with inverse triangles
+    (s, g, c, c), if those `known` are zero, the last of them with this `variance` (s, g) over that
+    of a residual."""
+    cover = inverse[..., [0, *known], :] @ np.swapaxes(inverse[..., known, :], 2, 3)
+    cover[..., -1, -1] += variance
+    moved = np.linalg.solve(cover[..., 1:, :], found[..., known, None])
+    rest: Array = found[..., 0] - (cover[..., :1, :] @ moved)[..., 0, 0]
+    return rest

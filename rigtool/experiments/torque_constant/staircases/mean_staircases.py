@@ -21,10 +21,11 @@ from rigtool.experiments.torque_constant.staircases.arm_motion import (
     arm_of,
     one_sided,
     state_of,
+    within_limits,
 )
 from rigtool.experiments.torque_constant.staircases.friction_change import FRICTION_CHANGE
 from rigtool.experiments.torque_constant.staircases.friction_cone import positive, possible
-from rigtool.experiments.torque_constant.staircases.least_squares import left_by
+from rigtool.experiments.torque_constant.staircases.least_squares import left_by, without_known
 from rigtool.experiments.torque_constant.staircases.model import (
     Common,
     Stairs,
@@ -49,9 +50,6 @@ ASYMMETRY = 0.1
 
 CHANGE = 1e-2
 """Relative change of what a hypothesis is linear about, and change of its asymmetry."""
-
-LARGEST_ASYMMETRY = 0.45
-"""From half on, friction z (1 + A z) would not grow with its state z everywhere."""
 
 PARAMETERS = 7
 """Linear parameters of a mean staircase."""
@@ -244,7 +242,8 @@ class MeanStaircases:
         each = rest[..., 1] / self.dof * self.kinds
         change = change / np.maximum(each, 1e-12 * change + TINY)
         trend, steady = (
-            np.sum(_without(inverse, found[..., 1], tied, wide), axis=1) for wide in (change, 0.0)
+            np.sum(without_known(inverse, found[..., 1], tied, wide), axis=1)
+            for wide in (change, 0.0)
         )
         found = found[..., :-2, :]
         # All else follows what is possible for friction.
@@ -403,19 +402,3 @@ class MeanStaircases:
 def _law(common: Common) -> tuple[Array, Array]:
     """Return the transition over its exponent, and the exponent of a hypothesis, (1,) each."""
     return np.array([(common.transition or 0.0) / common.exponent]), np.array([common.exponent])
-
-
-def within_limits(asymmetry: float) -> float:
-    """Return the nearest relative asymmetry with which friction grows with its state."""
-    return min(max(asymmetry, -LARGEST_ASYMMETRY), LARGEST_ASYMMETRY)
-
-
-def _without(inverse: Array, found: Array, known: list[int], variance: Array | float) -> Array:
-    """Return the first of the parameters (s, g, c) that least squares find with inverse triangles
-    (s, g, c, c), if those `known` are zero, the last of them with this `variance` (s, g) over that
-    of a residual."""
-    cover = inverse[..., [0, *known], :] @ np.swapaxes(inverse[..., known, :], 2, 3)
-    cover[..., -1, -1] += variance
-    moved = np.linalg.solve(cover[..., 1:, :], found[..., known, None])
-    rest: Array = found[..., 0] - (cover[..., :1, :] @ moved)[..., 0, 0]
-    return rest

@@ -6,13 +6,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rigtool.experiments.torque_constant.staircases.arm_motion import Arm, Contacts, one_sided
+from rigtool.experiments.torque_constant.staircases.arm_motion import (
+    Arm,
+    Contacts,
+    one_sided,
+    within_limits,
+)
 from rigtool.experiments.torque_constant.staircases.fit import fit_staircases
 from rigtool.experiments.torque_constant.staircases.hypotheses import weigh_hypotheses
 from rigtool.experiments.torque_constant.staircases.mean_staircases import (
     ASYMMETRY,
     MeanStaircases,
-    within_limits,
 )
 from rigtool.experiments.torque_constant.staircases.model import Common, arrange, winding
 from rigtool.experiments.torque_constant.staircases.plateaus import plateaus_of_set_point
