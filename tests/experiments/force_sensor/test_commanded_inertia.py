@@ -5,7 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rigtool.experiments.force_sensor.commanded_inertia import CommandedTurns, commanded_inertia
+from rigtool.experiments.force_sensor.commanded_inertia import (
+    POINTS,
+    CommandedTurns,
+    commanded_inertia,
+)
 from tests.experiments.force_sensor.test_unknown_inertia import (
     STEP,
     TIME,
@@ -83,3 +87,31 @@ def test_stretches_of_several_rates_are_taken_together():
     found = commanded_inertia([coarse, CommandedTurns.of(STEP, *(row[800:1600] for row in rows))])
     assert found is not None
     assert found.inertia == pytest.approx(40e-6, rel=0.1)
+
+
+def alike_turns(own, left):
+    """Turns of both signs, ten each, that show the inertias `own` (10,) and besides `left`."""
+    motion = np.sin(2 * np.pi * np.linspace(0, 1, POINTS, endpoint=False))
+    signs = np.repeat([1.0, -1.0], len(own))
+    windows = [
+        (s * motion, s * (one * motion + left))
+        for s, one in zip(signs, np.tile(own, 2), strict=True)
+    ]
+    return CommandedTurns(signs, np.full(len(signs), 1e-9), np.array(windows))
+
+
+@pytest.mark.parametrize(("errors", "is_found"), [(1.5, False), (2.0, True)])
+def test_an_inertia_is_stated_from_two_and_a_half_errors_of_both_sides_on(errors, is_found):
+    """Each side has `errors` standard errors, both together sqrt(2) of that."""
+    scatter = 1 / (1.4826 * np.sqrt(np.pi / 2 / 10) * errors)
+    own = 40e-6 * (1 + scatter * np.tile([-1, 1], 5))
+    found = commanded_inertia([alike_turns(own, 0.0)])
+    assert (found is not None) == is_found
+
+
+@pytest.mark.parametrize(("part", "is_found"), [(3.0, False), (0.1, True)])
+def test_what_repeats_with_the_strokes_is_in_the_error_of_an_inertia(part, is_found):
+    """Torque that repeats, of the frequency of the motion, with another phase."""
+    left = part * 40e-6 * np.cos(2 * np.pi * np.linspace(0, 1, POINTS, endpoint=False))
+    found = commanded_inertia([alike_turns(np.full(10, 40e-6), left)])
+    assert (found is not None) == is_found
