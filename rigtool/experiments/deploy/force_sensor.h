@@ -1142,7 +1142,7 @@ static inline void rs_pass_time(struct rigtool_sensor *s, int slides)
 static inline void rs_show(struct rigtool_sensor *s)
 {
     const struct rs_model *m = &rs_model;
-    const rs_real *gain = s->gain, speed = s->x[RS_SPEED], bristle = s->x[RS_HOUSING];
+    const rs_real speed = s->x[RS_SPEED], bristle = s->x[RS_HOUSING];
     const rs_real by_sine = bristle * s->sine, by_cosine = bristle * s->cosine;
     const rs_real path = RS_MATH(fabs)(speed) * m->step_time / m->housing_presliding_angle;
     const rs_real left = rs_exp(-path), size = m->step_time / m->housing_presliding_angle;
@@ -1150,7 +1150,10 @@ static inline void rs_show(struct rigtool_sensor *s)
     const rs_real root =
         RS_MATH(sqrt)(rs_square(s->x[RS_TORQUE]) + rs_square(m->load_friction_onset));
     const rs_real carried = 1 + m->load_friction * bristle * s->x[RS_TORQUE] / root;
-    const rs_real by_torque = gain[RS_TORQUE] / m->torque_factor;
+    const rs_real by_torque = s->gain[RS_TORQUE] / m->torque_factor;
+    const rs_real by_angle = 1 - s->gain[RS_ANGLE], by_speed = s->gain[RS_SPEED];
+    const rs_real by_housing = s->gain[RS_HOUSING];
+    const rs_real to_sine = s->gain[RS_SINE], to_cosine = s->gain[RS_COSINE];
     const int held = RS_MATH(fabs)(speed) < m->wave_slow;
     const int begins = bristle * s->stroke < (rs_real)-0.5;
     struct rs_shown *taken = &s->shown[RS_WAVES]; /* a sum of the others: lost where one is */
@@ -1162,26 +1165,26 @@ static inline void rs_show(struct rigtool_sensor *s)
             s->shown[j].sine = s->shown[j].cosine = 0;
     }
     for (j = 0; j <= RS_WAVES; j++) {
-        struct rs_shown *w = &s->shown[j];
-        rs_real torque, off;
-        before = w->seen;
-        torque = carried * w->seen + by_sine * w->sine + by_cosine * w->cosine - s->waves[j]
-            - m->housing_friction * w->housing;
-        w->housing = left * w->housing + bent * w->speed;
-        w->speed += m->wave_turn * torque;
-        w->angle += m->step_time * w->speed;
-        off = w->angle;
-        w->angle -= gain[RS_ANGLE] * off;
-        w->speed -= gain[RS_SPEED] * off;
-        w->housing -= gain[RS_HOUSING] * off;
-        w->sine += gain[RS_SINE] * off;
-        w->cosine += gain[RS_COSINE] * off;
-        w->seen += by_torque * off;
-        if (held || RS_MATH(fabs)(w->seen) > m->wave_held) {
-            w->angle = w->speed = w->housing = 0;
-            w->seen = before + m->wave_shown * (s->waves[j] - before);
+        struct rs_shown w = s->shown[j];
+        rs_real torque;
+        before = w.seen;
+        torque = carried * w.seen + by_sine * w.sine + by_cosine * w.cosine - s->waves[j]
+            - m->housing_friction * w.housing;
+        w.housing = left * w.housing + bent * w.speed;
+        w.speed += m->wave_turn * torque;
+        w.angle += m->step_time * w.speed;
+        w.speed -= by_speed * w.angle;
+        w.housing -= by_housing * w.angle;
+        w.sine += to_sine * w.angle;
+        w.cosine += to_cosine * w.angle;
+        w.seen += by_torque * w.angle;
+        w.angle *= by_angle;
+        if (held || RS_MATH(fabs)(w.seen) > m->wave_held) {
+            w.angle = w.speed = w.housing = 0;
+            w.seen = before + m->wave_shown * (s->waves[j] - before);
             lost = 1;
         }
+        s->shown[j] = w;
     }
     if (lost) {
         taken->angle = taken->speed = taken->housing = 0;
@@ -1257,20 +1260,22 @@ static inline void rs_hold(struct rigtool_sensor *s)
 /* The variance of what ripple adds to the torque, whose mean is that at the motor. */
 static inline rs_real rs_ripple_spread(const struct rigtool_sensor *s, rs_real mean)
 {
-    rs_real total = (1 - s->weights[0] - s->weights[1]) * rs_square(mean);
+    rs_real total = (1 - s->weights[0] - s->weights[1]) * rs_square(mean), seen[RS_WAVES];
     int i, j, k;
+    for (j = 0; j < RS_WAVES; j++)
+        seen[j] = s->shown[j].seen;
     for (k = 0; k < 2; k++) {
         const struct rs_hypothesis *h = &s->hypotheses[k];
         const rs_real lasts = h->lasts, lasting = h->known.lasting[0];
         rs_real own = 0, shift = 0, spread = 0;
+        RS_UNROLL
         for (j = 0; j < RS_WAVES; j++) {
-            const rs_real seen = s->shown[j].seen;
-            rs_real by = seen;
+            rs_real by = seen[j];
             for (i = 0; i < j; i++)
-                by += h->known.u[i + 1][j + 1] * s->shown[i].seen;
+                by += h->known.u[i + 1][j + 1] * seen[i];
             spread += by * by * h->known.d[j + 1];
-            own += seen * h->known.mean[j + 1];
-            shift += seen * h->known.shift[j + 1];
+            own += seen[j] * h->known.mean[j + 1];
+            shift += seen[j] * h->known.shift[j + 1];
         }
         spread += rs_square(shift) * lasts * (h->known.lasting[1] + (1 - lasts) * lasting * lasting);
         total += s->counts[k] * (spread + rs_square(own + lasts * lasting * shift - mean));
@@ -1292,6 +1297,7 @@ static inline rs_real rs_rippled(struct rigtool_sensor *s, rs_real *variance)
     rs_show(s);
     rs_row(s);
     rs_hold(s);
+    RS_UNROLL
     for (j = 0; j < RS_WAVES; j++) {
         mean += s->shown[j].seen * s->ripples[j];
         taken += s->held[j] * s->waves[j];
