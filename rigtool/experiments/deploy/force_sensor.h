@@ -477,20 +477,24 @@ struct rs_rows {
 /* Make the rows before row j independent of it. */
 static inline void rs_apart(struct rigtool_sensor *s, struct rs_rows *r, int j)
 {
-    const rs_real *row = s->u[j];
+    /* copies, since no store to another row changes them */
+    rs_real row[RS_MOVING], noisy[RS_NOISY], walk[RS_MOVING];
     rs_real by_d[RS_MOVING], by_weight[RS_NOISY], by_walk[RS_MOVING], total = rs_model.walk[j];
     int i, m;
     for (m = 0; m < RS_MOVING; m++) {
+        row[m] = s->u[j][m];
         by_d[m] = s->d[m] * row[m];
         total += by_d[m] * row[m];
     }
     for (m = 0; m < RS_NOISY; m++) {
-        by_weight[m] = r->weight[m] * r->other[m][j];
-        total += by_weight[m] * r->other[m][j];
+        noisy[m] = r->other[m][j];
+        by_weight[m] = r->weight[m] * noisy[m];
+        total += by_weight[m] * noisy[m];
     }
     for (m = j + 1; m < RS_MOVING; m++) {
-        by_walk[m] = rs_model.walk[m] * r->walk[j][m];
-        total += by_walk[m] * r->walk[j][m];
+        walk[m] = r->walk[j][m];
+        by_walk[m] = rs_model.walk[m] * walk[m];
+        total += by_walk[m] * walk[m];
     }
     r->d[j] = total;
     total = 1 / total;
@@ -506,9 +510,9 @@ static inline void rs_apart(struct rigtool_sensor *s, struct rs_rows *r, int j)
         for (m = 0; m < RS_MOVING; m++)
             before[m] -= dot * row[m];
         for (m = 0; m < RS_NOISY; m++)
-            r->other[m][i] -= dot * r->other[m][j];
+            r->other[m][i] -= dot * noisy[m];
         for (m = j + 1; m < RS_MOVING; m++)
-            r->walk[i][m] -= dot * r->walk[j][m];
+            r->walk[i][m] -= dot * walk[m];
         r->walk[i][j] = -dot;
         r->walk[j][i] = dot;
     }
