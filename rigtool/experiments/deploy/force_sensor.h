@@ -245,14 +245,26 @@ static inline int rs_finite(rs_real value)
 
 /* -- the drive ------------------------------------------------------------------------------- */
 
-/* Place in a map of one turn, from turns between -1000 and 1000: the cell, and the part of it. */
-static inline int rs_place(rs_real turns, int cells, rs_real *part)
+/* The part of a turn, from turns between -1000 and 1000; beyond them, 0. */
+static inline rs_real rs_part(rs_real turns)
 {
-    rs_real place = 0;
-    int cell;
-    if (turns > -1000 && turns < 1000)
-        place = (turns + (rs_real)(turns < 0) - (rs_real)(int)turns) * (rs_real)cells;
-    cell = (int)place;
+    if (!(turns > -1000 && turns < 1000))
+        return 0;
+    return turns + (rs_real)(turns < 0) - (rs_real)(int)turns;
+}
+
+/* The part of a turn at which the rotor is, in the middle of its count. */
+static inline rs_real rs_rotor(const struct rigtool_sensor *s)
+{
+    const int32_t turn = rs_model.turn, within = s->encoder % turn;
+    return ((rs_real)(within < 0 ? within + turn : within) + (rs_real)0.5) * (1 / (rs_real)turn);
+}
+
+/* Place in a map of one turn, of which a part has passed: the cell, and the part of it. */
+static inline int rs_place(rs_real passed, int cells, rs_real *part)
+{
+    const rs_real place = passed * (rs_real)cells;
+    int cell = (int)place;
     if (cell > cells - 1)
         cell = cells - 1; /* rounding */
     *part = place - (rs_real)cell;
@@ -275,8 +287,30 @@ static inline rs_real rs_exp(rs_real x)
     return power * (1 + r * (1 + r * (0.5f + r * (0.16666667f + r * (0.041666651f
                     + r * (8.3333755e-3f + r * 1.3888889e-3f))))));
 }
+
+/* Sine and cosine of a part of a turn, within two roundings: by the nearest quarter. */
+static inline void rs_turned(rs_real part, rs_real *sine, rs_real *cosine)
+{
+    const int quarter = (int)(4 * part + 0.5f);
+    const rs_real r = (4 * part - (rs_real)quarter) * 1.57079633f, x = r * r;
+    const rs_real s = r - r * x * (0.166666655f - x * (8.33216087e-3f - x * 1.95152959e-4f));
+    const rs_real c = 1 - x * (0.5f - x * (4.16666457e-2f - x * (1.38873163e-3f
+                    - x * 2.44331571e-5f)));
+    *sine = quarter % 2 ? c : s;
+    *cosine = quarter % 2 ? -s : c;
+    if (quarter & 2) {
+        *sine = -*sine;
+        *cosine = -*cosine;
+    }
+}
 #else
 #define rs_exp exp
+
+static inline void rs_turned(rs_real part, rs_real *sine, rs_real *cosine)
+{
+    *sine = sin(part * RS_TURN);
+    *cosine = cos(part * RS_TURN);
+}
 #endif
 
 /* A bristle a sample later, and its derivatives: by itself, and by the speed. */
@@ -302,14 +336,9 @@ static inline struct rs_bristle rs_bend(rs_real z, rs_real speed, rs_real length
 static inline rs_real rs_drive(struct rigtool_sensor *s, rs_real *viscous)
 {
     const struct rs_model *m = &rs_model;
-    int32_t within = s->encoder % m->turn;
     const rs_real *low, *high;
-    rs_real turns, part, plain, raw, here[RS_COLUMNS];
-    int cell, j;
-    if (within < 0)
-        within += m->turn;
-    turns = ((rs_real)within + (rs_real)0.5) * (1 / (rs_real)m->turn);
-    cell = rs_place(turns, RS_ROTOR_CELLS, &part);
+    rs_real part, plain, raw, here[RS_COLUMNS];
+    int cell = rs_place(rs_rotor(s), RS_ROTOR_CELLS, &part), j;
     low = rs_rotor_map[cell];
     high = rs_rotor_map[cell + 1];
     for (j = 0; j < RS_COLUMNS; j++)
@@ -326,10 +355,8 @@ static inline rs_real rs_drive(struct rigtool_sensor *s, rs_real *viscous)
 /* Where the output is at the begin of a step, or where it has turned far within one. */
 static inline void rs_locate(struct rigtool_sensor *s)
 {
-    const rs_real angle = s->turn * RS_TURN + s->x[RS_GRASPER];
     s->at = s->x[RS_GRASPER];
-    s->sine = RS_MATH(sin)(angle);
-    s->cosine = RS_MATH(cos)(angle);
+    rs_turned(rs_part(s->turn + s->at * (1 / RS_TURN)), &s->sine, &s->cosine);
 }
 
 /* Advance the states, and with them the columns of U, by one sample of the equations. */
@@ -358,7 +385,8 @@ static inline void rs_advance(struct rigtool_sensor *s, rs_real torque, rs_real 
     if (RS_MATH(fabs)(x[RS_GRASPER] - s->at) > (rs_real)0.05)
         rs_locate(s);
     rs_real part, on = x[RS_GRASPER] - s->at, squared = on * on;
-    int cell = rs_place(s->turn + x[RS_GRASPER] * (1 / RS_TURN), RS_HOUSING_CELLS, &part);
+    int cell = rs_place(
+        rs_part(s->turn + x[RS_GRASPER] * (1 / RS_TURN)), RS_HOUSING_CELLS, &part);
     const rs_real *low = rs_housing_map[cell], *high = rs_housing_map[cell + 1];
     rs_real slope = high[0] - low[0], load_slope = high[1] - low[1];
     rs_real map = low[0] + part * slope;
@@ -845,10 +873,8 @@ static inline void rs_next_wave(
 /* Waves of the rotor's angle, lagging: cosine and sine of each order. */
 static inline void rs_wave(struct rigtool_sensor *s)
 {
-    int32_t within = s->encoder % rs_model.turn;
-    rs_real angle = ((rs_real)within + (rs_real)0.5) * (RS_TURN / (rs_real)rs_model.turn);
-    const rs_real one[2] = {RS_MATH(cos)(angle), RS_MATH(sin)(angle)};
-    rs_real wave[2] = {1, 0};
+    rs_real one[2], wave[2] = {1, 0};
+    rs_turned(rs_rotor(s), &one[1], &one[0]);
     rs_next_wave(s, 0, one, wave); /* no loop: each place has a number of steps of its own */
     rs_next_wave(s, 1, one, wave);
     rs_next_wave(s, 2, one, wave);
@@ -990,6 +1016,7 @@ static inline rs_real rs_by_ripple(
     rs_real seen = 1 + known->shift[0], before = h->touched, other;
     rs_real by[RS_PARTS], part[RS_PARTS], column[RS_PARTS];
     int i, j;
+    RS_UNROLL
     for (j = 0; j < RS_PARTS; j++) {
         by[j] = j ? row[j] : (rs_real)1;
         if (j) {
@@ -1012,6 +1039,7 @@ static inline rs_real rs_by_ripple(
     error /= sum;
     seen /= sum;
     sum -= variance - m->row_noise;
+    RS_UNROLL
     for (j = 0; j < RS_PARTS; j++) {
         const rs_real gain = -by[j] / sum, whole = sum + part[j] * by[j];
         for (i = 0; i < j; i++) {
@@ -1088,9 +1116,11 @@ static inline void rs_take(struct rigtool_sensor *s)
     const struct rs_model *m = &rs_model;
     const rs_real touching = rs_touching(s), *c = m->wave_mean[1], *drawn = m->wave_variance[1];
     const rs_real *beta = &s->hypotheses[1].known.mean[1];
+    rs_real likely[2];
     int j;
-    s->other -= rs_by_ripple(&s->hypotheses[0], s->row, touching);
-    s->other += rs_by_ripple(&s->hypotheses[1], s->row, touching);
+    for (j = 0; j < 2; j++)
+        likely[j] = rs_by_ripple(&s->hypotheses[j], s->row, touching);
+    s->other += likely[1] - likely[0];
     if (s->other > m->row_certain)
         s->other = m->row_certain;
     if (s->other < -m->row_certain)
