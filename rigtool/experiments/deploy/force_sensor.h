@@ -24,14 +24,14 @@
 #ifdef RIGTOOL_SENSOR_FLOAT
 typedef float rigtool_sensor_real;
 #define RS_MATH(name) name##f
-#define RS_FARTHEST 12.0f
+#define RS_TERMS 8
 #define RS_NARROWEST 5e-2f
 #define RS_STRAIGHT 0.1f
 #define RS_LEAST_WEIGHT 1e-7f
 #else
 typedef double rigtool_sensor_real;
 #define RS_MATH(name) name
-#define RS_FARTHEST 35.0
+#define RS_TERMS 20
 #define RS_NARROWEST 1e-2
 #define RS_STRAIGHT 1e-2
 #define RS_LEAST_WEIGHT 1e-15
@@ -42,6 +42,7 @@ typedef rigtool_sensor_real rs_real;
 #else
 #define RS_UNROLL
 #endif
+#define RS_FAR_EDGE 6
 #define RS_TURN ((rs_real)6.28318530717958647693)
 
 /* One sample of the loop: all that the amplifier is asked for, at the count of this instant. */
@@ -702,6 +703,29 @@ static inline rs_real rs_exponential(rs_real slope, rs_real width, rs_real *vari
     return 1 / slope - width * end / (1 - end);
 }
 
+/* What Mills' ratio of a normal's tail beyond x, 1 / (x + found), has besides x. */
+static inline rs_real rs_beyond(rs_real x)
+{
+    rs_real found = 0;
+    int n;
+    for (n = RS_TERMS; n > 0; n--)
+        found = (rs_real)n / (x + found);
+    return found;
+}
+
+/* Mean, from alpha on, of a standard normal between edges in its tail; *variance receives its
+ * variance: experiments/force_filter/interval.py has the equations. */
+static inline rs_real rs_far_out(rs_real alpha, rs_real beta, rs_real *variance)
+{
+    const rs_real width = beta - alpha, beyond = rs_beyond(alpha), next_beyond = rs_beyond(beta);
+    const rs_real ratio = 1 / (alpha + beyond);
+    const rs_real next_part = rs_exp((rs_real)-0.5 * width * (alpha + beta));
+    const rs_real next_ratio = next_part / (beta + next_beyond), tail = ratio - next_ratio;
+    const rs_real mean = (ratio * beyond - next_ratio * (next_beyond + width)) / tail;
+    *variance = 1 - alpha * mean - width * next_part / tail - mean * mean;
+    return mean;
+}
+
 /* Mean of a standard normal between alpha and beta; *variance receives its variance. */
 static inline rs_real rs_truncated(rs_real alpha, rs_real beta, rs_real *variance)
 {
@@ -713,11 +737,10 @@ static inline rs_real rs_truncated(rs_real alpha, rs_real beta, rs_real *varianc
         beta = -swap;
         sign = -1;
     }
-    if (beta - alpha < RS_NARROWEST || alpha > RS_FARTHEST) {
-        rs_real width = beta - alpha < 1 ? beta - alpha : (rs_real)1;
-        rs_real middle = width < RS_NARROWEST ? width : RS_NARROWEST;
-        return sign * (alpha + rs_exponential(alpha + middle / 2, width, variance));
-    }
+    if (beta - alpha < RS_NARROWEST)
+        return sign * (alpha + rs_exponential((alpha + beta) / 2, beta - alpha, variance));
+    if (alpha > RS_FAR_EDGE)
+        return sign * (alpha + rs_far_out(alpha, beta, variance));
     tail = (rs_real)0.5 * (RS_MATH(erfc)(alpha * root) - RS_MATH(erfc)(beta * root));
     low = density * rs_exp((rs_real)-0.5 * alpha * alpha) / tail;
     high = density * rs_exp((rs_real)-0.5 * beta * beta) / tail;

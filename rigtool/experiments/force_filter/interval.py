@@ -7,6 +7,14 @@
 Inside a count the mean hardly moves and little is learned; at an edge much is. Rounding noise of
 count^2/12 would claim the same information everywhere. (N. L. Johnson, S. Kotz, N. Balakrishnan,
 Continuous Univariate Distributions 1, 2nd ed. 1994, section 13.10.1.)
+
+Far out, 1 and d^2 cancel: of the variance, about alpha^-2, rounding is alpha^4 as large. There both
+moments are counted from the edge, with Mills' ratio R = (1 - Phi) / phi = 1 / (x + D):
+
+    q = phi(beta) / phi(alpha),  T = R(alpha) - q R(beta),  w = beta - alpha
+    d - alpha = (R(alpha) D(alpha) - q R(beta) (D(beta) + w)) / T
+    variance = s^2 (1 - alpha (d - alpha) - w q / T - (d - alpha)^2)
+    D(x) = 1/(x + 2/(x + 3/(x + ...)))              P. S. Laplace, Traite de mecanique celeste 10
 """
 
 from __future__ import annotations
@@ -15,8 +23,9 @@ import math
 
 from rigtool.numerics.compiled import compiled
 
-FARTHEST_EDGE = 35.0
-"""Edge, in standard deviations, from which on the normal's tail is below what a double holds."""
+FAR_EDGE, TERMS = 6.0, 20
+"""Nearer edge, in standard deviations, from which on moments are counted from it, and terms of the
+fraction D: what it then lacks is below a double's rounding."""
 
 NARROWEST_INTERVAL = 1e-2
 """Width in standard deviations below which the density's logarithm is a straight line."""
@@ -38,14 +47,39 @@ def _exponential(slope: float, width: float) -> tuple[float, float]:
 
 
 @compiled
+def _beyond(x: float) -> float:
+    """Return D(x) of Mills' ratio."""
+    found = 0.0
+    for n in range(TERMS, 0, -1):
+        found = n / (x + found)
+    return found
+
+
+@compiled
+def _far_out(alpha: float, beta: float) -> tuple[float, float]:
+    """Return mean, from alpha on, and variance of a standard normal between edges in its tail."""
+    width = beta - alpha
+    beyond, next_beyond = _beyond(alpha), _beyond(beta)
+    ratio = 1.0 / (alpha + beyond)
+    next_part = math.exp(-0.5 * width * (alpha + beta))
+    next_ratio = next_part / (beta + next_beyond)
+    tail = ratio - next_ratio
+    mean = (ratio * beyond - next_ratio * (next_beyond + width)) / tail
+    return mean, 1.0 - alpha * mean - width * next_part / tail - mean * mean
+
+
+@compiled
 def truncated(alpha: float, beta: float) -> tuple[float, float]:
     """Return mean and variance of a standard normal between alpha < beta."""
     side = 1.0
     if alpha + beta < 0.0:  # by symmetry: above zero the tails are those that erfc resolves
         side, alpha, beta = -1.0, -beta, -alpha
-    if beta - alpha < NARROWEST_INTERVAL or alpha > FARTHEST_EDGE:
-        width = min(beta - alpha, 1.0)  # beyond 1 nothing is left of a tail that far out
-        mean, variance = _exponential(alpha + min(width, NARROWEST_INTERVAL) / 2.0, width)
+    width = beta - alpha
+    if width < NARROWEST_INTERVAL:
+        mean, variance = _exponential(alpha + width / 2.0, width)
+        return side * (alpha + mean), variance
+    if alpha > FAR_EDGE:
+        mean, variance = _far_out(alpha, beta)
         return side * (alpha + mean), variance
     tail = 0.5 * (math.erfc(alpha / math.sqrt(2.0)) - math.erfc(beta / math.sqrt(2.0)))
     low, high = _density(alpha) / tail, _density(beta) / tail

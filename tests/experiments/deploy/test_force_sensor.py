@@ -241,14 +241,19 @@ def test_a_current_at_its_limit_has_no_value(tmp_path, samples):
     assert 0.05 < np.mean(wanted[:, 4] == State.OUTSIDE) < 0.9
 
 
+@pytest.mark.parametrize(
+    ("current", "first", "length"), [(-10.0, 18000, 800), (10.0, 12000, 2400)], ids=str
+)
 def test_a_current_that_would_turn_the_output_far_within_a_step_leaves_what_python_leaves(
-    libraries, samples
+    libraries, samples, current, first, length
 ):
+    """The angle that is expected is tens of deviations outside the count."""
     part = samples["free"].copy()
-    part[1, 18000:18800] = -10.0  # while the encoder shows another motion
+    part[1, first : first + length] = current  # while the encoder shows another motion
     found, wanted = read(libraries["double"], part), expected(instrument(), part)
     np.testing.assert_array_equal(found[:, 4], wanted[:, 4])
-    assert (wanted[2350:2500, 4] > 0).sum() > 40
+    ended = (first + length) // 8
+    assert (wanted[ended : ended + 150, 4] > 0).sum() > 40
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * RANGE)
 
 
