@@ -489,7 +489,7 @@ static inline rs_real rs_add_walk(struct rigtool_sensor *s, rs_real variance, rs
     int i;
     s->d[state] = whole;
     for (i = 0; i < state; i++) {
-        a[i] = -s->u[i][state];
+        a[i] = s->u[i][state]; /* of either sign */
         s->u[i][state] *= kept;
     }
     return rs_add(s, variance * kept, a, state - 1, RS_MOVING);
@@ -878,32 +878,35 @@ static inline void rs_update(struct rigtool_sensor *s)
 
 /* -- ripple that the amplifier draws at a power-up --------------------------------------------- */
 
-/* Go on by orders to the followed one of a place, whose waves lag: `one` and `wave` (2) are cosine and
- * sine of the first order, and of the last one. */
-static inline void rs_next_wave(
-    struct rigtool_sensor *s, int place, const rs_real *one, rs_real *wave)
+/* Go on by orders to the followed one of a place: `one` and `wave` (2) are cosine and sine of the
+ * first order, and of the last one. */
+static inline void rs_next_wave(int place, const rs_real *one, rs_real *wave, rs_real *fresh)
 {
-    int i, order = place ? rs_model.wave_order[place - 1] : 0;
+    int order = place ? rs_model.wave_order[place - 1] : 0;
     for (; order < rs_model.wave_order[place]; order++) {
         const rs_real before = wave[0];
         wave[0] = wave[0] * one[0] - wave[1] * one[1];
         wave[1] = wave[1] * one[0] + before * one[1];
     }
-    for (i = 0; i < 2; i++)
-        s->waves[2 * place + i] += (1 - rs_model.wave_kept) * (wave[i] - s->waves[2 * place + i]);
+    fresh[2 * place] = wave[0];
+    fresh[2 * place + 1] = wave[1];
 }
 
 /* Waves of the rotor's angle, lagging: cosine and sine of each order. */
 static inline void rs_wave(struct rigtool_sensor *s)
 {
-    rs_real one[2], wave[2] = {1, 0};
+    rs_real one[2], wave[2] = {1, 0}, fresh[RS_WAVES];
+    int i;
     rs_turned(rs_rotor(s), &one[1], &one[0]);
-    rs_next_wave(s, 0, one, wave); /* no loop: each place has a number of steps of its own */
-    rs_next_wave(s, 1, one, wave);
-    rs_next_wave(s, 2, one, wave);
-    rs_next_wave(s, 3, one, wave);
-    rs_next_wave(s, 4, one, wave);
-    rs_next_wave(s, 5, one, wave);
+    rs_next_wave(0, one, wave, fresh); /* no loop: each place has a number of steps of its own */
+    rs_next_wave(1, one, wave, fresh);
+    rs_next_wave(2, one, wave, fresh);
+    rs_next_wave(3, one, wave, fresh);
+    rs_next_wave(4, one, wave, fresh);
+    rs_next_wave(5, one, wave, fresh);
+    RS_UNROLL
+    for (i = 0; i < RS_WAVES; i++)
+        s->waves[i] += (1 - rs_model.wave_kept) * (fresh[i] - s->waves[i]);
 }
 
 /* The logarithm of the likelihood of a row that has one's or, with a probability, the other's; the
@@ -1265,7 +1268,7 @@ static inline void rs_renew_unfollowed(struct rigtool_sensor *s)
 
 /* Add a step to the row; a whole row is taken in where all of it slides. The length of the next
  * one is drawn (D. H. Lehmer): no force swings with the rows. */
-static inline void rs_row(struct rigtool_sensor *s)
+static inline void rs_row(struct rigtool_sensor *s, const rs_real seen[RS_WAVES])
 {
     const struct rs_model *m = &rs_model;
     const rs_real share = (rs_real)1 / (rs_real)s->row_length, felt = m->torque_factor * share;
@@ -1273,7 +1276,7 @@ static inline void rs_row(struct rigtool_sensor *s)
     int j;
     s->row[0] += (s->x[RS_TORQUE] + m->torque_factor * s->shown[RS_WAVES].seen) * share;
     for (j = 0; j < RS_WAVES; j++)
-        s->row[j + 1] += felt * s->shown[j].seen;
+        s->row[j + 1] += felt * seen[j];
     s->row_slid += s->x[RS_HOUSING] * direction >= m->sliding;
     if (++s->row_steps < s->row_length)
         return;
@@ -1315,12 +1318,11 @@ static inline void rs_hold(struct rigtool_sensor *s)
 }
 
 /* The variance of what ripple adds to the torque, whose mean is that at the motor. */
-static inline rs_real rs_ripple_spread(const struct rigtool_sensor *s, rs_real mean)
+static inline rs_real rs_ripple_spread(
+    const struct rigtool_sensor *s, const rs_real seen[RS_WAVES], rs_real mean)
 {
-    rs_real total = (1 - s->weights[0] - s->weights[1]) * rs_square(mean), seen[RS_WAVES];
+    rs_real total = (1 - s->weights[0] - s->weights[1]) * rs_square(mean);
     int i, j, k;
-    for (j = 0; j < RS_WAVES; j++)
-        seen[j] = s->shown[j].seen;
     for (k = 0; k < 2; k++) {
         const struct rs_hypothesis *h = &s->hypotheses[k];
         const rs_real lasts = h->lasts, lasting = h->known.lasting[0];
@@ -1347,21 +1349,23 @@ static inline rs_real rs_rippled(struct rigtool_sensor *s, rs_real *variance)
     const struct rs_model *m = &rs_model;
     const rs_real *c = m->low_pass[RS_ORDER];
     rs_real mean = 0, ripple, left, taken = 0;
-    rs_real q[RS_ORDER];
+    rs_real q[RS_ORDER], seen[RS_WAVES];
     int i, j;
     rs_wave(s);
     s->waves[RS_WAVES] = s->taken;
     rs_show(s);
-    rs_row(s);
+    for (j = 0; j < RS_WAVES; j++)
+        seen[j] = s->shown[j].seen;
+    rs_row(s, seen);
     rs_hold(s);
     RS_UNROLL
     for (j = 0; j < RS_WAVES; j++) {
-        mean += s->shown[j].seen * s->ripples[j];
+        mean += seen[j] * s->ripples[j];
         taken += s->held[j] * s->waves[j];
     }
     s->taken = taken;
     if (s->row_steps % RS_SPREAD_STEPS == 0) /* waves hardly change within that */
-        s->ripple_spread = rs_ripple_spread(s, mean);
+        s->ripple_spread = rs_ripple_spread(s, seen, mean);
     *variance = rs_rippling(s);
     left = m->torque_factor * (mean - s->shown[RS_WAVES].seen);
     ripple = c[RS_ORDER] * left;
