@@ -222,7 +222,7 @@ class Problem:
         left[range(first), range(first)] *= 1 + lift
         right = normal[:count, count] * scale + prior
         inverse: Array = np.asarray(np.linalg.inv(left), dtype=np.float64)
-        solution = scale * (inverse @ right)
+        solution = scale * np.linalg.solve(left, right)
         covariance: Array = inverse * np.outer(scale, scale)
         return solution, covariance
 

@@ -27,6 +27,7 @@ from rigtool.experiments.force_model.records import ROWS_HZ
 from rigtool.experiments.force_model.sliding_problem import (
     SLIDING_PARAMETERS,
     Problem,
+    logarithms,
     stepped_shape,
 )
 from rigtool.experiments.learning.implementations.d_tendon import stroke_notes, tendon_results
@@ -393,3 +394,15 @@ def test_contacts_are_distinguished_from_errors_at_every_learned_speed():
     slow, faster = untouched_motions(strokes, moves, [])
     assert [motion.name for motion in slow] == ["2.0 0.0"]
     assert [motion.name for motion in faster] == ["4.0", "8.0"]
+
+
+def test_rounding_decides_no_step_of_a_search(fit):
+    """Many terms look alike: the cost is as exact as it is stationary in the coefficients."""
+    shape, own = fit.learned.shape, fit.problem
+    solution, cost = own.cost(shape)
+    normal = own.normal(shape, None).sum(axis=0)
+    far = np.append(-solution, 1.0)
+    away = (logarithms(shape) - logarithms(own.start)) / own.shape_spread
+    waves = own.spread > 0
+    squares = far @ normal @ far + away @ away + np.sum((solution[waves] / own.spread[waves]) ** 2)
+    assert cost == pytest.approx(squares, rel=1e-9)
