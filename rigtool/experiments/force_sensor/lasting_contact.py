@@ -20,7 +20,7 @@ from rigtool.numerics.compiled import compiled
 
 LASTS, LASTING, DRIFT, LEAST_LASTS = 0.03, 5.0, 0.5, 1e-3
 """Probability, before anything is seen, that a weak contact acts all the time; its deviation, and
-what it changes by per square root of a second, in deviations of a stroke; its least probability.
+what it changes by per square root of a second of sliding, in deviations of a stroke; its least probability.
 
 Contacts that come and go look like one as well: where another power-up's ripple is in doubt, a
 probability of 0.1 makes the intervals' score up to 7 % larger (six development rigs), and with
