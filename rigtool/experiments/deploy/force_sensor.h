@@ -1185,14 +1185,15 @@ static inline void rs_pass_time(struct rigtool_sensor *s, int slides)
     for (i = 0; i < 2; i++) {
         struct rs_hypothesis *h = &s->hypotheses[i];
         h->touched += m->row_begins - (m->row_begins + m->row_ends) * h->touched;
-        h->known.lasting[1] += m->row_drift;
         h->known.mean[0] *= kept;
         h->known.shift[0] *= kept;
         for (j = 1; j < RS_PARTS; j++)
             h->known.u[0][j] *= kept;
         h->known.d[0] = kept * kept * h->known.d[0] + fresh;
-        if (slides)
+        if (slides) { /* at rest nothing makes ripple and what lasts less known */
+            h->known.lasting[1] += m->row_drift;
             rs_doubt(&h->known, s->doubted, m->wave_doubt[i][s->doubted]);
+        }
     }
     if (slides)
         s->doubted = s->doubted + 1 < RS_WAVES ? s->doubted + 1 : 0;

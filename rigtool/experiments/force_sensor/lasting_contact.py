@@ -2,7 +2,9 @@
 
 Along a part of a turn ripple of low orders has a mean, as a weak load has that stays or grows
 slowly: alone, either explains what rows of the torque show. With a probability a torque c acts
-besides, a slow random walk. Errors e of a filter without c are then those of one with it, but for
+besides, a slow random walk while the rotor slides: less known in a rest, it would make the ripple
+less known, which no rest changes. Errors e of a filter without c are then those of one with it, but
+for
 
     e = s c + error,   s = 1 + H V,   V' = V - K s
 
@@ -20,7 +22,8 @@ from rigtool.numerics.compiled import compiled
 
 LASTS, LASTING, DRIFT, LEAST_LASTS = 0.03, 5.0, 0.5, 1e-3
 """Probability, before anything is seen, that a weak contact acts all the time; its deviation, and
-what it changes by per square root of a second, in deviations of a stroke; its least probability.
+what it changes by per square root of a second of sliding, in deviations of a stroke; its least
+probability.
 
 Contacts that come and go look like one as well: where another power-up's ripple is in doubt, a
 probability of 0.1 makes the intervals' score up to 7 % larger (six development rigs), and with

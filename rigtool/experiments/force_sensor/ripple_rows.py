@@ -283,7 +283,6 @@ def _pass_time(s: Record, p: Record, slides: bool) -> None:
     fresh, one = (1.0 - kept * kept) * p.size**2, int(s.doubted)
     for h in range(2):
         s.touched[h] += begins - (begins + ends) * s.touched[h]
-        s.lasting[h, 1] += (DRIFT * p.size) ** 2 * p.time
         s.shift[h, WAVE_COUNT] *= kept
         s.mean[h, WAVE_COUNT] *= kept
         for i in range(WAVE_COUNT):
@@ -291,7 +290,8 @@ def _pass_time(s: Record, p: Record, slides: bool) -> None:
             s.covariance[h, WAVE_COUNT, i] *= kept
         own = s.covariance[h, WAVE_COUNT, WAVE_COUNT]
         s.covariance[h, WAVE_COUNT, WAVE_COUNT] = kept * kept * own + fresh
-        if slides:
+        if slides:  # at rest nothing makes ripple and what lasts less known
+            s.lasting[h, 1] += (DRIFT * p.size) ** 2 * p.time
             s.covariance[h, one, one] += s.drawn[h, one] * WAVE_COUNT * p.time / FORGOTTEN
     if slides:
         s.doubted = (one + 1) % WAVE_COUNT  # in turn

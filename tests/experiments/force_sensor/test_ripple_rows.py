@@ -79,8 +79,8 @@ def after_time(s, slides):
     walks = (np.array(rows.WALKS) * SIZE) ** 2 * TIME
     turned = 0.0 if slides else (rows.AFTER_REVERSAL * SIZE) ** 2 * TIME / rows.ROW_TIME
     found["level_variance"] = s["level_variance"] + walks + turned
-    found["lasting"] = s["lasting"] + [0, (DRIFT * SIZE) ** 2 * TIME]
     if slides:
+        found["lasting"] = s["lasting"] + [0, (DRIFT * SIZE) ** 2 * TIME]
         one = int(s["doubted"])
         found["covariance"][:, one, one] += COUNT * s["drawn"][:, one] * TIME / rows.FORGOTTEN
         found["doubted"] = (one + 1) % COUNT
