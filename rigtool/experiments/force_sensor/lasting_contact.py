@@ -37,10 +37,10 @@ HANGS, HANGING = 0.2, (10.0, 10.0, 5.0)
 """Probability, before anything is seen, that a load hangs all the time; and deviations of c1, c2
 and c0, in deviations of a stroke.
 
-With a probability of 0.1, scores without such a load are 0.6 % smaller, but those of a mass of 2.4
-mN m at another power-up are 4 to 50 % larger (three development rigs, causal). Without c0, a push
-of 2 mN m is taken for a mass at another power-up, and scores are up to 3 times as large as without
-this hypothesis. A walk of c0 makes a mass unlikely within a minute of strokes."""
+With a probability of 0.1, scores without such a load are 0.5 % smaller, but those of a mass of 2.4
+mN m at another power-up are up to 61 % larger (three development rigs, causal). Without c0, a push
+of 2 mN m is taken for a mass at another power-up, with up to 2.5 times the score. With a random
+walk of c0, a mass becomes unlikely within a minute of strokes."""
 
 
 @compiled
