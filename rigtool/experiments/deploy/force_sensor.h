@@ -94,9 +94,10 @@ enum {
 };
 
 /* Of the ripple that a power-up draws: orders, those that are followed, their waves, and the states
- * of what learns them, torque first; powers of the current in the variance of the rest. */
-enum { RS_ORDERS = 14, RS_FOLLOWED = 6, RS_WAVES = 2 * RS_FOLLOWED };
-enum { RS_PARTS = RS_WAVES + 1, RS_POWERS = 3 };
+ * of what learns them: torque, a load that hangs, waves; powers of the current in the variance of
+ * the rest. Filters: near the learned ripple, another one, and both again with such a load. */
+enum { RS_ORDERS = 14, RS_FOLLOWED = 6, RS_WAVES = 2 * RS_FOLLOWED, RS_POWERS = 3 };
+enum { RS_HUNG = 1, RS_WAVE = 4, RS_PARTS = RS_WAVE + RS_WAVES, RS_FILTERS = 4 };
 
 /* Columns of the rotor's map. */
 enum { RS_COGGING, RS_RIPPLE, RS_GAIN, RS_SQUARE, RS_VISCOUS, RS_COLUMNS };
@@ -133,7 +134,7 @@ struct rs_model {
     rs_real row_noise, row_walk[2], row_reversal, row_contact, row_untouched, row_kept;
     rs_real row_begins, row_ends, row_changes, row_least, row_evidence, row_certain, row_largest;
     rs_real row_recognised, row_lasts, row_lasting, row_drift, row_least_lasts, row_same;
-    rs_real row_beforehand;
+    rs_real row_beforehand, row_hangs, row_hanging[RS_WAVE - RS_HUNG];
     /* states */
     rs_real sliding, slow, crawling, speed_limit, torque_limit;
     rs_real current_limit, largest_current, cold, warm, farthest;
@@ -164,9 +165,9 @@ struct rs_ripple {
     rs_real shift[RS_PARTS], lasting[2];
 };
 
-/* A hypothesis of that ripple: what is known, and was, the earlier first; the probabilities that
+/* A filter of that ripple: what is known, and was, the earlier first; the probabilities that
  * something touches, and that a contact lasts; rows since the later one. */
-struct rs_hypothesis {
+struct rs_filter {
     struct rs_ripple known, before[2];
     rs_real touched, lasts;
     int since;
@@ -201,14 +202,15 @@ struct rigtool_sensor {
     rs_real held[RS_WAVES], taken;
     int held_steps;
     rs_real waves[RS_WAVES + 1], row[RS_PARTS], ripple_q[RS_ORDER];
-    struct rs_hypothesis hypotheses[2]; /* near the learned ripple, and another one */
-    rs_real other, proven; /* logarithm of the second's likelihood over the first's; what stays */
+    struct rs_filter filters[RS_FILTERS];
+    rs_real hangs[2]; /* the probability that a load hangs, with either ripple */
+    rs_real other, proven; /* logarithm of the likelihoods' ratio, of both ripples; what stays */
     /* of all: both weights, the rest is the learned ripple's, and what they count in the variance;
      * mean of the ripple, and variance */
     rs_real weights[2], counts[2], ripples[RS_WAVES], ripple_spread, unfollowed[1 + RS_POWERS];
     rs_real level[2], level_variance[2], fast; /* then: by a slow, a fast walk; probability of that */
     int row_length, row_drawn, row_steps, row_slid;
-    int doubted; /* the wave whose doubt grows next */
+    int doubted; /* the wave whose doubt grows next, of the filter in turn */
     /* states: counts of the last steps, and for how many steps they were one of two */
     int32_t history[RS_SPEED_STEPS];
     int steps, next, still_up, still_down, limit_left;
@@ -952,28 +954,42 @@ static inline rs_real rs_touching(struct rigtool_sensor *s)
     return rs_weighed(&s->fast, likely[0], likely[1]);
 }
 
-/* Forget another power-up's ripple: what was taken for it is too large. */
-static inline void rs_begin_anew(struct rigtool_sensor *s)
+/* Expect of all but the torque what is expected before any row. */
+static inline void rs_unknown(struct rs_ripple *known, int filter)
 {
-    struct rs_hypothesis *h = &s->hypotheses[1];
+    const struct rs_model *m = &rs_model;
+    int j;
+    for (j = RS_HUNG; j < RS_WAVE; j++) {
+        known->mean[j] = 0;
+        known->d[j] = filter > 1 ? m->row_hanging[j - RS_HUNG] : (rs_real)0;
+    }
+    for (j = 0; j < RS_WAVES; j++) {
+        known->mean[RS_WAVE + j] = m->wave_mean[filter % 2][j];
+        known->d[RS_WAVE + j] = m->wave_variance[filter % 2][j];
+    }
+}
+
+/* Forget another power-up's ripple: what was taken for it is too large. */
+static inline void rs_begin_anew(struct rigtool_sensor *s, int filter)
+{
+    struct rs_filter *f = &s->filters[filter];
     int i, j;
     for (j = 1; j < RS_PARTS; j++) {
-        h->known.d[0] += rs_square(h->known.u[0][j]) * h->known.d[j];
-        h->known.d[j] = rs_model.wave_variance[1][j - 1];
-        h->known.mean[j] = rs_model.wave_mean[1][j - 1];
-        h->known.shift[j] = 0;
+        f->known.d[0] += rs_square(f->known.u[0][j]) * f->known.d[j];
+        f->known.shift[j] = 0;
         for (i = 0; i < j; i++)
-            h->known.u[i][j] = 0;
+            f->known.u[i][j] = 0;
     }
-    if (s->other > 0)
-        s->other = 0;
-    if (s->proven > 0)
-        s->proven = 0;
-    h->before[0] = h->before[1] = h->known;
+    rs_unknown(&f->known, filter);
+    if ((s->hangs[1] > (rs_real)0.5) == (filter > 1)) {
+        s->other = s->other > 0 ? (rs_real)0 : s->other;
+        s->proven = s->proven > 0 ? (rs_real)0 : s->proven;
+    }
+    f->before[0] = f->before[1] = f->known;
 }
 
 /* Go back to what was known before a contact that is recognised, or keep what is known now. */
-static inline void rs_take_back(struct rs_hypothesis *h)
+static inline void rs_take_back(struct rs_filter *h)
 {
     int j;
     h->since++;
@@ -996,7 +1012,7 @@ static inline void rs_take_back(struct rs_hypothesis *h)
 static inline void rs_doubt(struct rs_ripple *known, int wave, rs_real sum)
 {
     rs_real add[RS_PARTS] = {0};
-    int i, j = wave + 1;
+    int i, j = RS_WAVE + wave;
     for (add[j] = 1; j >= 0; j--) {
         const rs_real whole = known->d[j] + sum * rs_square(add[j]);
         const rs_real gain = whole > 0 ? sum * add[j] / whole : (rs_real)0; /* no such order */
@@ -1022,42 +1038,49 @@ static inline rs_real rs_lasts(
     return rs_density(left, whole);
 }
 
-/* The part of the logarithm of a row's likelihood that counts, of one or, where a contact lasts,
- * the other. */
-static inline rs_real rs_counted(rs_real *lasts, rs_real one, rs_real other)
+/* Those of `rs_weighed`, of a probability that keeps away from 0 and 1. */
+static inline rs_real rs_counted(rs_real *probability, rs_real one, rs_real other)
 {
-    const rs_real part = rs_model.row_evidence, least = rs_model.row_least_lasts;
-    const rs_real together = rs_weighed(lasts, part * one, part * other);
-    *lasts = *lasts < least ? least : *lasts > 1 - least ? 1 - least : *lasts;
+    const rs_real together = rs_weighed(probability, one, other), least = rs_model.row_least_lasts;
+    *probability = *probability < least ? least
+        : *probability > 1 - least ? 1 - least : *probability;
     return together;
 }
 
-/* The part of the logarithm of a row's likelihood under a hypothesis; it is taken in there. */
+/* The part of the logarithm of a row's likelihood by a filter, whose states but the torque begin
+ * with `first`; it is taken in there. Where no load hangs, a contact may last. */
 static inline rs_real rs_by_ripple(
-    struct rs_hypothesis *h, const rs_real *row, rs_real touching)
+    struct rs_filter *h, const rs_real *row, rs_real touching, int first)
 {
     const struct rs_model *m = &rs_model;
     struct rs_ripple *known = &h->known;
-    rs_real error = row[0] - known->mean[0], variance = m->row_noise, likely, sum;
-    rs_real seen = 1 + known->shift[0], before = h->touched, other;
+    rs_real error = row[0] - known->mean[0], variance = m->row_noise, likely, sum, whole;
+    rs_real seen = 1 + known->shift[0], before = h->touched;
     rs_real by[RS_PARTS], part[RS_PARTS], column[RS_PARTS];
     int i, j;
+    by[0] = 1;
+    part[0] = known->d[0];
+    variance += part[0];
     RS_UNROLL
-    for (j = 0; j < RS_PARTS; j++) {
-        by[j] = j ? row[j] : (rs_real)1;
-        if (j) {
-            error -= row[j] * known->mean[j];
+    for (j = first; j < RS_PARTS; j++) {
+        rs_real sum_of = row[j] + known->u[0][j];
+        error -= row[j] * known->mean[j];
+        if (first == RS_WAVE)
             seen += row[j] * known->shift[j];
-        }
-        for (i = 0; i < j; i++)
-            by[j] += known->u[i][j] * (i ? row[i] : (rs_real)1);
-        part[j] = known->d[j] * by[j];
-        variance += part[j] * by[j];
+        for (i = first; i < j; i++)
+            sum_of += known->u[i][j] * row[i];
+        by[j] = sum_of;
+        part[j] = known->d[j] * sum_of;
+        variance += part[j] * sum_of;
     }
     likely = rs_weighed(&h->touched, rs_density(error, variance), touching);
-    other = rs_lasts(known->lasting, error, seen, variance, 1 - h->touched);
-    other = rs_weighed(&before, other, touching);
-    likely = rs_counted(&h->lasts, likely, other);
+    if (first == RS_WAVE) {
+        rs_real other = rs_lasts(known->lasting, error, seen, variance, 1 - h->touched);
+        other = rs_weighed(&before, other, touching);
+        likely = rs_counted(&h->lasts, m->row_evidence * likely, m->row_evidence * other);
+    } else {
+        likely *= m->row_evidence;
+    }
     if (h->touched > 1 - m->row_least)
         return likely;
     /* as much noise as lets the row count by the probability that nothing touches */
@@ -1065,46 +1088,64 @@ static inline rs_real rs_by_ripple(
     error /= sum;
     seen /= sum;
     sum -= variance - m->row_noise;
+    whole = sum + part[0];
+    column[0] = part[0];
+    known->d[0] *= sum / whole;
     RS_UNROLL
-    for (j = 0; j < RS_PARTS; j++) {
-        const rs_real gain = -by[j] / sum, whole = sum + part[j] * by[j];
-        for (i = 0; i < j; i++) {
-            const rs_real old = known->u[i][j];
-            known->u[i][j] = old + gain * column[i];
-            column[i] += old * part[j];
-        }
-        column[j] = part[j];
-        known->d[j] *= sum / whole;
+    for (j = first; j < RS_PARTS; j++) {
+        const rs_real gain = -by[j] / whole, own = part[j], old = known->u[0][j];
         sum = whole;
+        whole += own * by[j];
+        known->u[0][j] = old + gain * column[0];
+        column[0] += old * own;
+        for (i = first; i < j; i++) {
+            const rs_real was = known->u[i][j];
+            known->u[i][j] = was + gain * column[i];
+            column[i] += was * own;
+        }
+        column[j] = own;
+        known->d[j] *= sum / whole;
     }
-    for (j = 0; j < RS_PARTS; j++) {
+    known->mean[0] += column[0] * error;
+    if (first == RS_WAVE)
+        known->shift[0] -= column[0] * seen;
+    for (j = first; j < RS_PARTS; j++) {
         known->mean[j] += column[j] * error;
-        known->shift[j] -= column[j] * seen;
+        if (first == RS_WAVE)
+            known->shift[j] -= column[j] * seen;
     }
     return likely;
 }
 
-/* What a hypothesis expects of a wave's coefficient. */
-static inline rs_real rs_expected(const struct rs_hypothesis *h, int wave)
+/* What a filter expects of a wave's coefficient. */
+static inline rs_real rs_expected(const struct rs_filter *h, int wave)
 {
-    return h->known.mean[wave + 1] + h->lasts * h->known.lasting[0] * h->known.shift[wave + 1];
+    const rs_real lasting = h->lasts * h->known.lasting[0]; /* nothing where a load hangs */
+    return h->known.mean[RS_WAVE + wave] + lasting * h->known.shift[RS_WAVE + wave];
+}
+
+/* The probability of a filter under the hypothesis of its ripple: that a load hangs, or not. */
+static inline rs_real rs_share(const struct rigtool_sensor *s, int filter)
+{
+    const rs_real hangs = s->hangs[filter % 2];
+    return filter > 1 ? hangs : 1 - hangs;
 }
 
 /* The logarithm of the likelihoods' ratio of the learned ripple itself to one near it: the density
  * of no change over what it was before any row (J. M. Dickey 1971). */
-static inline rs_real rs_same(const struct rs_hypothesis *h)
+static inline rs_real rs_same(const struct rs_filter *h)
 {
     const rs_real *drawn = rs_model.wave_variance[0];
     rs_real left[RS_WAVES], total = 0, part = 1;
     int i, j;
     for (j = RS_WAVES - 1; j >= 0; j--) {
-        const rs_real own = h->known.d[j + 1];
+        const rs_real own = h->known.d[RS_WAVE + j];
         left[j] = 0;
         if (!(drawn[j] > 0)) /* no such order */
             continue;
         left[j] = rs_expected(h, j);
         for (i = j + 1; i < RS_WAVES; i++)
-            left[j] -= h->known.u[j + 1][i + 1] * left[i];
+            left[j] -= h->known.u[RS_WAVE + j][RS_WAVE + i] * left[i];
         total -= rs_square(left[j]) / own;
         part *= own / drawn[j];
         if (j % 2 == 0) { /* an order */
@@ -1119,10 +1160,14 @@ static inline rs_real rs_same(const struct rs_hypothesis *h)
 static inline void rs_mix(struct rigtool_sensor *s)
 {
     const struct rs_model *m = &rs_model;
-    rs_real same = m->row_evidence * rs_same(&s->hypotheses[0]), near = 1 - m->row_same, other;
-    int j;
-    same = same > m->row_certain ? m->row_certain : same < -m->row_certain ? -m->row_certain : same;
-    same = m->row_same * RS_MATH(exp)(same);
+    rs_real same = 0, near = 1 - m->row_same, other;
+    int j, k;
+    for (k = 0; k < RS_FILTERS; k += 2) {
+        rs_real ratio = m->row_evidence * rs_same(&s->filters[k]);
+        ratio = ratio > m->row_certain ? m->row_certain
+            : ratio < -m->row_certain ? -m->row_certain : ratio;
+        same += m->row_same * rs_share(s, k) * RS_MATH(exp)(ratio);
+    }
     other = RS_MATH(exp)(s->other);
     s->weights[0] = near / (same + near + other);
     s->weights[1] = other / (same + near + other);
@@ -1132,41 +1177,53 @@ static inline void rs_mix(struct rigtool_sensor *s)
     if (s->counts[1] < s->weights[1])
         s->counts[1] = s->weights[1];
     for (j = 0; j < RS_WAVES; j++)
-        s->ripples[j] = s->weights[0] * rs_expected(&s->hypotheses[0], j)
-            + s->weights[1] * rs_expected(&s->hypotheses[1], j);
+        s->ripples[j] = 0;
+    for (k = 0; k < RS_FILTERS; k++) {
+        const rs_real part = s->weights[k % 2] * rs_share(s, k);
+        for (j = 0; j < RS_WAVES; j++)
+            s->ripples[j] += part * rs_expected(&s->filters[k], j);
+    }
 }
 
-/* Take in a row that slides, under both hypotheses. */
+/* Take in a row that slides, by each filter. */
 static inline void rs_take(struct rigtool_sensor *s)
 {
     const struct rs_model *m = &rs_model;
     const rs_real touching = rs_touching(s), *c = m->wave_mean[1], *drawn = m->wave_variance[1];
-    const rs_real *beta = &s->hypotheses[1].known.mean[1];
-    rs_real likely[2];
-    int j;
-    for (j = 0; j < 2; j++)
-        likely[j] = rs_by_ripple(&s->hypotheses[j], s->row, touching);
-    s->other += likely[1] - likely[0];
+    rs_real touched[2];
+    int j, k;
+    for (k = 0; k < 2; k++) {
+        rs_real likely = rs_by_ripple(&s->filters[k], s->row, touching, RS_WAVE);
+        const rs_real hung = rs_by_ripple(&s->filters[k + 2], s->row, touching, RS_HUNG);
+        likely = rs_counted(&s->hangs[k], likely, hung);
+        s->other += k ? likely : -likely;
+    }
     if (s->other > m->row_certain)
         s->other = m->row_certain;
     if (s->other < -m->row_certain)
         s->other = -m->row_certain;
-    for (j = 0; j < RS_WAVES; j += 2) {
-        if (rs_square(beta[j] - c[j]) + rs_square(beta[j + 1] - c[j + 1])
-            > m->row_largest * (drawn[j] + drawn[j + 1])) {
-            rs_begin_anew(s); /* a force that repeats with the angle */
-            break;
+    for (k = 1; k < RS_FILTERS; k += 2) {
+        const rs_real *beta = &s->filters[k].known.mean[RS_WAVE];
+        for (j = 0; j < RS_WAVES; j += 2) {
+            if (rs_square(beta[j] - c[j]) + rs_square(beta[j + 1] - c[j + 1])
+                > m->row_largest * (drawn[j] + drawn[j + 1])) {
+                rs_begin_anew(s, k); /* a force that repeats with the angle */
+                break;
+            }
         }
     }
-    if (s->hypotheses[0].touched > m->row_recognised
-        && s->hypotheses[1].touched > m->row_recognised) {
+    for (k = 0; k < 2; k++) {
+        const rs_real without = s->filters[k].touched;
+        touched[k] = without + s->hangs[k] * (s->filters[k + 2].touched - without);
+    }
+    if (touched[0] > m->row_recognised && touched[1] > m->row_recognised) {
         s->other = s->proven;
     } else {
         const rs_real more = s->other - s->proven, most = m->row_ends;
         s->proven += more > most ? most : more < -most ? -most : more;
     }
-    for (j = 0; j < 2; j++)
-        rs_take_back(&s->hypotheses[j]);
+    for (k = 0; k < RS_FILTERS; k++)
+        rs_take_back(&s->filters[k]);
 }
 
 /* Go on to the end of a row. */
@@ -1182,21 +1239,22 @@ static inline void rs_pass_time(struct rigtool_sensor *s, int slides)
         if (!slides)
             s->level_variance[i] += m->row_reversal; /* friction may be off by a stroke's own */
     }
-    for (i = 0; i < 2; i++) {
-        struct rs_hypothesis *h = &s->hypotheses[i];
+    for (i = 0; i < RS_FILTERS; i++) {
+        struct rs_filter *h = &s->filters[i];
         h->touched += m->row_begins - (m->row_begins + m->row_ends) * h->touched;
         h->known.mean[0] *= kept;
         h->known.shift[0] *= kept;
         for (j = 1; j < RS_PARTS; j++)
             h->known.u[0][j] *= kept;
         h->known.d[0] = kept * kept * h->known.d[0] + fresh;
-        if (slides) { /* at rest nothing makes ripple and what lasts less known */
-            h->known.lasting[1] += m->row_drift;
-            rs_doubt(&h->known, s->doubted, m->wave_doubt[i][s->doubted]);
-        }
     }
-    if (slides)
-        s->doubted = s->doubted + 1 < RS_WAVES ? s->doubted + 1 : 0;
+    if (slides) { /* at rest nothing makes ripple and what lasts less known */
+        const int filter = s->doubted % RS_FILTERS, wave = s->doubted / RS_FILTERS;
+        for (i = 0; i < 2; i++)
+            s->filters[i].known.lasting[1] += m->row_drift;
+        rs_doubt(&s->filters[filter].known, wave, m->wave_doubt[filter % 2][wave]);
+        s->doubted = s->doubted + 1 < RS_FILTERS * RS_WAVES ? s->doubted + 1 : 0;
+    }
 }
 
 /* Advance by a step the waves as the filter's torque shows them: shown_ripple.py. */
@@ -1276,8 +1334,11 @@ static inline void rs_row(struct rigtool_sensor *s, const rs_real seen[RS_WAVES]
     const rs_real direction = rs_sign(s->x[RS_SPEED]);
     int j;
     s->row[0] += (s->x[RS_TORQUE] + m->torque_factor * s->shown[RS_WAVES].seen) * share;
+    s->row[RS_HUNG] += share * s->cosine;
+    s->row[RS_HUNG + 1] += share * s->sine;
+    s->row[RS_HUNG + 2] += share;
     for (j = 0; j < RS_WAVES; j++)
-        s->row[j + 1] += felt * seen[j];
+        s->row[RS_WAVE + j] += felt * seen[j];
     s->row_slid += s->x[RS_HOUSING] * direction >= m->sliding;
     if (++s->row_steps < s->row_length)
         return;
@@ -1324,21 +1385,22 @@ static inline rs_real rs_ripple_spread(
 {
     rs_real total = (1 - s->weights[0] - s->weights[1]) * rs_square(mean);
     int i, j, k;
-    for (k = 0; k < 2; k++) {
-        const struct rs_hypothesis *h = &s->hypotheses[k];
+    for (k = 0; k < RS_FILTERS; k++) {
+        const struct rs_filter *h = &s->filters[k];
         const rs_real lasts = h->lasts, lasting = h->known.lasting[0];
         rs_real own = 0, shift = 0, spread = 0;
         RS_UNROLL
         for (j = 0; j < RS_WAVES; j++) {
             rs_real by = seen[j];
             for (i = 0; i < j; i++)
-                by += h->known.u[i + 1][j + 1] * seen[i];
-            spread += by * by * h->known.d[j + 1];
-            own += seen[j] * h->known.mean[j + 1];
-            shift += seen[j] * h->known.shift[j + 1];
+                by += h->known.u[RS_WAVE + i][RS_WAVE + j] * seen[i];
+            spread += by * by * h->known.d[RS_WAVE + j];
+            own += seen[j] * h->known.mean[RS_WAVE + j];
+            shift += seen[j] * h->known.shift[RS_WAVE + j];
         }
         spread += rs_square(shift) * lasts * (h->known.lasting[1] + (1 - lasts) * lasting * lasting);
-        total += s->counts[k] * (spread + rs_square(own + lasts * lasting * shift - mean));
+        own += lasts * lasting * shift - mean;
+        total += s->counts[k % 2] * rs_share(s, k) * (spread + rs_square(own));
     }
     return rs_square(rs_model.torque_factor) * total;
 }
@@ -1589,15 +1651,14 @@ static inline void rs_begin(struct rigtool_sensor *s)
     s->rested = -1; /* nowhere yet */
     s->swing = m->least_swing;
     s->row_length = RS_ROW_STEPS;
-    for (j = 0; j < 2; j++) {
-        struct rs_hypothesis *h = &s->hypotheses[j];
-        for (i = 0; i < RS_PARTS; i++) {
-            h->known.mean[i] = i ? m->wave_mean[j][i - 1] : 0;
-            h->known.d[i] = i ? m->wave_variance[j][i - 1] : m->row_untouched;
-        }
+    for (j = 0; j < RS_FILTERS; j++) {
+        struct rs_filter *h = &s->filters[j];
+        h->known.d[0] = m->row_untouched;
+        rs_unknown(&h->known, j);
         h->known.lasting[1] = m->row_lasting;
-        h->lasts = m->row_lasts;
+        h->lasts = j < 2 ? m->row_lasts : (rs_real)0;
         h->before[0] = h->before[1] = h->known;
+        s->hangs[j % 2] = m->row_hangs;
     }
     rs_mix(s);
     rs_renew_unfollowed(s);

@@ -208,7 +208,7 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
         "wave_mean": np.stack([0 * learned.coefficient, -learned.coefficient]),
         "wave_variance": both,
         "wave_square": plant.torque_factor**2 * learned.drawn.sum(),
-        "wave_doubt": both * (ripple_rows.WAVE_COUNT * row_time / ripple_rows.FORGOTTEN),
+        "wave_doubt": both * (ripple_rows.TURNS * row_time / ripple_rows.FORGOTTEN),
         "row_noise": (ripple_rows.NOISE * size) ** 2,
         "row_walk": (np.array(ripple_rows.WALKS) * size) ** 2 * row_time,
         "row_reversal": (ripple_rows.AFTER_REVERSAL * size) ** 2 * row_time / ripple_rows.ROW_TIME,
@@ -229,6 +229,8 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
         "row_least_lasts": lasting_contact.LEAST_LASTS,
         "row_same": ripple_rows.SAME,
         "row_beforehand": ripple_rows.BEFOREHAND,
+        "row_hangs": lasting_contact.HANGS,
+        "row_hanging": (np.array(lasting_contact.HANGING) * size) ** 2,
     }
 
 

@@ -30,7 +30,7 @@ Ann. Math. Stat. 42(1) 204-223, 1971). Given is
 the mean of the mixture, and its variance (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with
 Applications to Tracking and Navigation, 2001, section 11.6.2, static multiple models).
 
-A weak contact may also act all the time (`lasting_contact`), under each of the two.
+A weak contact may also act all the time, or a load hang (`lasting_contact`), under each of the two.
 
 The strongest orders that were learned are followed. The other ones, and what of the ripple grows
 with the current, are in the variance alone (`drawn_ripple`). One misalignment has the same phases
@@ -58,11 +58,13 @@ from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, TORQ
 from rigtool.experiments.force_model.drawn_ripple import learned_ripple
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_sensor import shown_ripple
-from rigtool.experiments.force_sensor.lasting_contact import LASTING, LASTS
+from rigtool.experiments.force_sensor.lasting_contact import HANGING, HANGS, LASTING, LASTS
 from rigtool.experiments.force_sensor.ripple_rows import (
     CHANGED,
     CONTACT,
+    FILTERS,
     PARAMETERS,
+    PARTS,
     SPREAD_STEPS,
     STATE,
     WAVE_COUNT,
@@ -102,22 +104,26 @@ class PowerUp:
         load = plant.load_friction, plant.load_friction_onset
         square = learned.drawn.sum()
         others = self._held_steps, lag_time, square, learned.orders, learned.unfollowed
+        hanging = (np.array(HANGING) * factor * size) ** 2
         self._parameters = np.array(
-            [(*numbers, *housing, slow, shown, *load, *others)], dtype=PARAMETERS
+            [(*numbers, *housing, slow, shown, *load, *others, hanging)], dtype=PARAMETERS
         )
         self._state = np.zeros(1, dtype=STATE)
         state = self._state[0]
         state["length"], state["direction"] = steps, 1.0
         state["expected"][1] = -learned.coefficient
         state["drawn"] = CHANGED**2 * learned.drawn, learned.drawn
-        state["mean"][:, :-1] = state["expected"]
-        variances = np.column_stack([state["drawn"], np.full(2, (factor * size) ** 2)])
+        state["mean"][:, :WAVE_COUNT] = np.tile(state["expected"], (2, 1))
+        variances = np.zeros((FILTERS, PARTS))
+        variances[:, :WAVE_COUNT] = np.tile(state["drawn"], (2, 1))
+        variances[:, WAVE_COUNT] = (factor * size) ** 2
+        variances[2:, WAVE_COUNT + 1 :] = hanging
         state["covariance"] = [np.diag(one) for one in variances]
         state["means"] = state["mean"][:, None]
         state["covariances"] = state["covariance"][:, None]
         for name in ("lasting", "lastings"):
             state[name][..., 1] = (LASTING * factor * size) ** 2
-        state["lasts"] = LASTS
+        state["lasts"], state["hangs"] = LASTS, HANGS
         state["level_variance"] = (CONTACT * factor * size) ** 2
         mix(state)
         renew_unfollowed(state, self._parameters[0], 0.0)
@@ -251,6 +257,9 @@ def _follow(
             for j in range(WAVE_COUNT):
                 s.row[j] += p.factor * s.seen[j] / s.length
             s.row[WAVE_COUNT] += (torque[k] + p.factor * s.seen[WAVE_COUNT]) / s.length
+            s.row[WAVE_COUNT + 1] += math.cos(follows[k, 6]) / s.length
+            s.row[WAVE_COUNT + 2] += math.sin(follows[k, 6]) / s.length
+            s.row[WAVE_COUNT + 3] += 1.0 / s.length
             s.slid += 1.0 if sliding[k] else 0.0
             s.filled += 1.0
             if s.filled >= s.length:

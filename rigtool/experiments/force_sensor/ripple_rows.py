@@ -2,10 +2,11 @@
 
 A row is the mean of some steps. Under each of two hypotheses of `power_up` its value y is
 
-    y = sum of beta_j w_j + M + e   where nothing touches, else a random walk that may leap,
+    y = sum of beta_j w_j + M + load + e   where nothing touches, else a random walk that may leap,
 
-and counts by the probability that nothing touches (probabilistic data association: Y. Bar-Shalom,
-E. Tse, Automatica 11(5) 451-460, 1975). The state is one record, which compiled functions change.
+with and without a load that hangs (`lasting_contact`), which makes four filters. A row counts by
+the probability that nothing touches (probabilistic data association: Y. Bar-Shalom, E. Tse,
+Automatica 11(5) 451-460, 1975). The state is one record, which compiled functions change.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from rigtool.experiments.force_model.drawn_ripple import FOLLOWED
 from rigtool.experiments.force_model.model import ROTOR_ORDERS
 from rigtool.experiments.force_sensor.lasting_contact import (
     DRIFT,
+    HANGING,
     counted,
     lasts_too,
     normal,
@@ -78,7 +80,7 @@ power-up draws, and the probability, before anything is seen, that it has not ch
 changes of 0.3, scores at another power-up are 0.5 % larger; without the probability, those at the
 learned one are 1 to 2 % larger (six development rigs)."""
 
-SPREAD_STEPS = 4
+SPREAD_STEPS = 8
 """Steps for which a variance of the ripple holds: waves hardly change, firmware has little time."""
 
 LARGEST_RIPPLE_RATIO = 3.0
@@ -92,10 +94,17 @@ PARAMETERS = np.dtype(
     + [(name, "f8") for name in ("step_time", "inertia", "friction", "length", "slow", "shown")]
     + [(name, "f8") for name in ("load_friction", "onset", "held", "lag_time", "square")]
     + [("orders", "i8", (FOLLOWED,)), ("unfollowed", "f8", (len(ROTOR_ORDERS), 4))]
+    + [("hanging", "f8", (len(HANGING),))]
 )
-"""`orders` and `unfollowed` are those of `drawn_ripple`, `square` is the sum of A^2."""
+"""`orders` and `unfollowed` are those of `drawn_ripple`, `square` is the sum of A^2, `hanging` the
+variances of a load that hangs."""
 
-WAVE_COUNT = 2 * FOLLOWED
+WAVE_COUNT, FILTERS = 2 * FOLLOWED, 4
+PARTS = WAVE_COUNT + 1 + len(HANGING)
+"""Of a filter: waves, what a stroke deviates by, and c1, c2, c0 of a load that hangs. Filters: near
+the learned ripple, another ripple, and both again where such a load may hang."""
+
+TURNS = FILTERS * WAVE_COUNT
 
 STATE = np.dtype(
     [
@@ -112,25 +121,27 @@ STATE = np.dtype(
         ("cosine", "f8", (WAVE_COUNT + 1,)),
         ("direction", "f8"),
         # the row that is being filled, how many steps it has, and how many there are, and slide
-        ("row", "f8", (WAVE_COUNT + 1,)),
+        ("row", "f8", (PARTS,)),
         ("length", "f8"),
         ("drawn_length", "f8"),
         ("filled", "f8"),
         ("slid", "f8"),
-        # under either hypothesis, the learned power-up first: what is expected and its variance
+        # under either hypothesis, the learned power-up first: what is expected and its variance;
+        # by each filter
         ("expected", "f8", (2, WAVE_COUNT)),
         ("drawn", "f8", (2, WAVE_COUNT)),
-        ("mean", "f8", (2, WAVE_COUNT + 1)),
-        ("covariance", "f8", (2, WAVE_COUNT + 1, WAVE_COUNT + 1)),
-        ("touched", "f8", (2,)),  # the probability that something touches
+        ("mean", "f8", (FILTERS, PARTS)),
+        ("covariance", "f8", (FILTERS, PARTS, PARTS)),
+        ("touched", "f8", (FILTERS,)),  # the probability that something touches
         # mean and covariance as they were, the earlier one first, and rows since the later one
-        ("means", "f8", (2, 2, WAVE_COUNT + 1)),
-        ("covariances", "f8", (2, 2, WAVE_COUNT + 1, WAVE_COUNT + 1)),
-        ("since", "f8", (2,)),
+        ("means", "f8", (FILTERS, 2, PARTS)),
+        ("covariances", "f8", (FILTERS, 2, PARTS, PARTS)),
+        ("since", "f8", (FILTERS,)),
+        ("hangs", "f8", (2,)),  # the probability that a load hangs
         # a contact that lasts: what 1 N m of it changes the means by, its mean and variance, and
         # its probability; as they were, as means
-        ("shift", "f8", (2, WAVE_COUNT + 1)),
-        ("shifts", "f8", (2, 2, WAVE_COUNT + 1)),
+        ("shift", "f8", (2, PARTS)),
+        ("shifts", "f8", (2, 2, PARTS)),
         ("lasting", "f8", (2, 2)),
         ("lastings", "f8", (2, 2, 2)),
         ("lasts", "f8", (2,)),
@@ -148,7 +159,7 @@ STATE = np.dtype(
         ("level_variance", "f8", (2,)),
         ("fast", "f8"),
         ("unfollowed", "f8", (4,)),  # sums over the orders at the speed of the last row
-        ("doubted", "f8"),  # the wave whose doubt grows next
+        ("doubted", "f8"),  # the wave whose doubt grows next, of the filter in turn
         ("passed", "f8", (passed.LOW_PASS_ORDER,)),
     ]
 )
@@ -177,28 +188,39 @@ def read_row(s: Record, p: Record) -> None:
     if slides:
         touching = _touching(s, p)
         for h in range(2):
-            likely = _by_ripple(s, p, h, touching)
+            alone, hung = _by_ripple(s, p, h, touching), _by_ripple(s, p, h + 2, touching)
+            likely, s.hangs[h] = counted(s.hangs[h], alone, hung)
             s.other += likely if h else -likely
         s.other = min(max(s.other, -MAX_LOG_RATIO), MAX_LOG_RATIO)
-        for i in range(0, WAVE_COUNT, 2):
-            first, second = s.mean[1, i] - s.expected[1, i], s.mean[1, i + 1] - s.expected[1, i + 1]
-            square = s.drawn[1, i] + s.drawn[1, i + 1]
-            if first * first + second * second > LARGEST_RIPPLE_RATIO**2 * square:
-                _begin_anew(s)
-                break
-        if min(s.touched[0], s.touched[1]) > RECOGNISED:
+        for f in range(1, FILTERS, 2):
+            if _is_none(s, f):
+                _begin_anew(s, p, f)
+        near = s.touched[0] + s.hangs[0] * (s.touched[2] - s.touched[0])
+        other = s.touched[1] + s.hangs[1] * (s.touched[3] - s.touched[1])
+        if min(near, other) > RECOGNISED:
             s.other = s.proven
         else:
             most = ENDS * p.time
             s.proven += min(max(s.other - s.proven, -most), most)
-        for h in range(2):
-            _take_back(s, p, h)
+        for f in range(FILTERS):
+            _take_back(s, p, f)
     mix(s)
-    for i in range(WAVE_COUNT + 1):
+    for i in range(PARTS):
         s.row[i] = 0.0
     s.filled = s.slid = 0.0
     s.drawn_length = (DRAW[0] * s.drawn_length + DRAW[1]) % DRAW[2]
     s.length = p.steps // 2 + p.steps * s.drawn_length // DRAW[2]
+
+
+@compiled
+def _is_none(s: Record, f: int) -> bool:
+    """Return whether what a filter takes for another power-up's ripple is too large for one."""
+    for i in range(0, WAVE_COUNT, 2):
+        first, second = s.mean[f, i] - s.expected[1, i], s.mean[f, i + 1] - s.expected[1, i + 1]
+        square = s.drawn[1, i] + s.drawn[1, i + 1]
+        if first * first + second * second > LARGEST_RIPPLE_RATIO**2 * square:
+            return True
+    return False
 
 
 @compiled_allocating
@@ -211,21 +233,29 @@ def renew_unfollowed(s: Record, p: Record, speed: float) -> None:
             s.unfollowed[j] += behind * p.unfollowed[i, j]
 
 
+@compiled
+def _expected(s: Record, f: int, i: int) -> float:
+    """Return what a filter expects of a wave's coefficient."""
+    if f > 1:
+        return float(s.mean[f, i])
+    return s.mean[f, i] + s.lasts[f] * s.lasting[f, 0] * s.shift[f, i]
+
+
 @compiled_allocating
-def _same(s: Record) -> float:
+def _same(s: Record, f: int) -> float:
     """Return the logarithm of the likelihoods' ratio of the learned ripple itself to one near it:
-    the density of no change over what it was before any row (`power_up`)."""
+    the density of no change over what it was before any row (`power_up`), of a filter near it."""
     root, left = np.zeros((WAVE_COUNT, WAVE_COUNT)), np.zeros(WAVE_COUNT)
     total = 0.0
     for i in range(WAVE_COUNT):
         drawn = s.drawn[0, i]
         if drawn <= 0.0:  # no such order
             continue
-        left[i] = s.mean[0, i] + s.lasts[0] * s.lasting[0, 0] * s.shift[0, i]
+        left[i] = _expected(s, f, i)
         for j in range(i + 1):
             if s.drawn[0, j] <= 0.0:
                 continue
-            own = s.covariance[0, i, j]
+            own = s.covariance[f, i, j]
             for k in range(j):
                 own -= root[i, k] * root[j, k]
             if j < i:
@@ -247,27 +277,34 @@ def mix(s: Record) -> None:
     another power-up counts wholly in the variance unless it is less likely than beforehand; then
     by the square of the ratio, but by its probability at least.
     """
-    limited = min(max(ROW_EVIDENCE * _same(s), -MAX_LOG_RATIO), MAX_LOG_RATIO)
-    same, near, other = SAME * math.exp(limited), 1.0 - SAME, math.exp(s.other)
+    same = 0.0
+    for f in range(0, FILTERS, 2):
+        limited = min(max(ROW_EVIDENCE * _same(s, f), -MAX_LOG_RATIO), MAX_LOG_RATIO)
+        same += SAME * (s.hangs[0] if f else 1.0 - s.hangs[0]) * math.exp(limited)
+    near, other = 1.0 - SAME, math.exp(s.other)
     total = same + near + other
     same, s.weights[0], s.weights[1] = same / total, near / total, other / total
-    own = np.empty((2, WAVE_COUNT))
-    s.known[:] = 0.0
-    for h in range(2):
-        for i in range(WAVE_COUNT):
-            own[h, i] = s.mean[h, i] + s.lasts[h] * s.lasting[h, 0] * s.shift[h, i]
-            s.known[i] += s.weights[h] * own[h, i]
     counts = min((s.weights[1] / BEFOREHAND) ** 2, 1.0)
     s.counts[0], s.counts[1] = s.weights[0], max(counts, s.weights[1])
+    own, part = np.empty((FILTERS, WAVE_COUNT)), np.empty(FILTERS)
+    s.known[:] = 0.0
+    for f in range(FILTERS):
+        h = f % 2
+        part[f] = s.hangs[h] if f > 1 else 1.0 - s.hangs[h]
+        for i in range(WAVE_COUNT):
+            own[f, i] = _expected(s, f, i)
+            s.known[i] += s.weights[h] * part[f] * own[f, i]
     for i in range(WAVE_COUNT):
         for j in range(i + 1):
             s.doubt[i, j] = same * s.known[i] * s.known[j]
-            for h in range(2):
-                lasting, variance = s.lasting[h]
-                variance = s.lasts[h] * (variance + (1.0 - s.lasts[h]) * lasting**2)
-                apart = (own[h, i] - s.known[i]) * (own[h, j] - s.known[j])
-                apart += s.covariance[h, i, j] + variance * s.shift[h, i] * s.shift[h, j]
-                s.doubt[i, j] += s.counts[h] * apart
+            for f in range(FILTERS):
+                apart = (own[f, i] - s.known[i]) * (own[f, j] - s.known[j])
+                apart += s.covariance[f, i, j]
+                if f < 2:
+                    lasting, variance = s.lasting[f]
+                    variance = s.lasts[f] * (variance + (1.0 - s.lasts[f]) * lasting**2)
+                    apart += variance * s.shift[f, i] * s.shift[f, j]
+                s.doubt[i, j] += s.counts[f % 2] * part[f] * apart
 
 
 @compiled
@@ -280,21 +317,23 @@ def _pass_time(s: Record, p: Record, slides: bool) -> None:
         if not slides:  # part of the row is no sliding: friction may be off by a stroke's own
             s.level_variance[i] += (AFTER_REVERSAL * p.size) ** 2 * p.time / ROW_TIME
     kept = math.exp(-p.time / MEMORY) if slides else 0.0
-    fresh, one = (1.0 - kept * kept) * p.size**2, int(s.doubted)
+    fresh = (1.0 - kept * kept) * p.size**2
+    for f in range(FILTERS):
+        s.touched[f] += begins - (begins + ends) * s.touched[f]
+        s.mean[f, WAVE_COUNT] *= kept
+        for i in range(PARTS):
+            s.covariance[f, i, WAVE_COUNT] *= kept
+            s.covariance[f, WAVE_COUNT, i] *= kept
+        s.covariance[f, WAVE_COUNT, WAVE_COUNT] += fresh
     for h in range(2):
-        s.touched[h] += begins - (begins + ends) * s.touched[h]
-        s.shift[h, WAVE_COUNT] *= kept
-        s.mean[h, WAVE_COUNT] *= kept
-        for i in range(WAVE_COUNT):
-            s.covariance[h, i, WAVE_COUNT] *= kept
-            s.covariance[h, WAVE_COUNT, i] *= kept
-        own = s.covariance[h, WAVE_COUNT, WAVE_COUNT]
-        s.covariance[h, WAVE_COUNT, WAVE_COUNT] = kept * kept * own + fresh
         if slides:  # at rest nothing makes ripple and what lasts less known
             s.lasting[h, 1] += (DRIFT * p.size) ** 2 * p.time
-            s.covariance[h, one, one] += s.drawn[h, one] * WAVE_COUNT * p.time / FORGOTTEN
-    if slides:
-        s.doubted = (one + 1) % WAVE_COUNT  # in turn
+        s.shift[h, WAVE_COUNT] *= kept
+    if slides:  # one wave of one filter, in turn
+        turn = int(s.doubted)
+        f, i = turn % FILTERS, turn // FILTERS
+        s.covariance[f, i, i] += s.drawn[f % 2, i] * TURNS * p.time / FORGOTTEN
+        s.doubted = (turn + 1) % TURNS
 
 
 @compiled
@@ -319,68 +358,84 @@ def _touching(s: Record, p: Record) -> float:
 
 
 @compiled_allocating
-def _by_ripple(s: Record, p: Record, h: int, touching: float) -> float:
-    """Return the part of the logarithm of a row's likelihood under a hypothesis, and take it in
-    there."""
-    gain = np.empty(WAVE_COUNT + 1)
+def _by_ripple(s: Record, p: Record, f: int, touching: float) -> float:
+    """Return the part of the logarithm of a row's likelihood by a filter, and take it in there."""
+    gain = np.empty(PARTS)
     value, s.row[WAVE_COUNT] = s.row[WAVE_COUNT], 1.0
-    error, variance, seen = value, (NOISE * p.size) ** 2, 1.0
-    for i in range(WAVE_COUNT + 1):
-        error -= s.row[i] * s.mean[h, i]
-        seen += s.row[i] * s.shift[h, i]
+    error, variance = value, (NOISE * p.size) ** 2
+    for i in range(PARTS):
+        error -= s.row[i] * s.mean[f, i]
         gain[i] = 0.0
-        for j in range(WAVE_COUNT + 1):
-            gain[i] += s.covariance[h, i, j] * s.row[j]
+        for j in range(PARTS):
+            gain[i] += s.covariance[f, i, j] * s.row[j]
         variance += s.row[i] * gain[i]
-    before = s.touched[h]
-    likely, s.touched[h] = weighed(before, normal(error, variance), touching)
-    part = (1.0 - s.touched[h]) / variance
+    before = s.touched[f]
+    likely, s.touched[f] = weighed(before, normal(error, variance), touching)
+    likely *= ROW_EVIDENCE
+    untouched = 1.0 - s.touched[f]
+    part, counts = untouched / variance, untouched >= MIN_UNTOUCHED_PROBABILITY
+    if f < 2:
+        seen = 0.0
+        for i in range(PARTS):
+            seen += s.row[i] * s.shift[f, i]
+        seen += 1.0
+        lasts = lasts_too(s.lasting[f], error, seen, variance, untouched)
+        other, _ = weighed(before, lasts, touching)
+        likely, s.lasts[f] = counted(s.lasts[f], likely, ROW_EVIDENCE * other)
+        for i in range(PARTS if counts else 0):
+            s.shift[f, i] -= part * gain[i] * seen
     s.row[WAVE_COUNT] = value
-    lasts = lasts_too(s.lasting[h], error, seen, variance, 1.0 - s.touched[h])
-    other, _ = weighed(before, lasts, touching)
-    together, s.lasts[h] = counted(s.lasts[h], ROW_EVIDENCE * likely, ROW_EVIDENCE * other)
-    if s.touched[h] > 1.0 - MIN_UNTOUCHED_PROBABILITY:
-        return together
-    for i in range(WAVE_COUNT + 1):
-        s.mean[h, i] += part * gain[i] * error
-        s.shift[h, i] -= part * gain[i] * seen
-        for j in range(WAVE_COUNT + 1):
-            s.covariance[h, i, j] -= part * gain[i] * gain[j]
-    return together
+    for i in range(PARTS if counts else 0):
+        s.mean[f, i] += part * gain[i] * error
+        for j in range(PARTS):
+            s.covariance[f, i, j] -= part * gain[i] * gain[j]
+    return likely
 
 
 @compiled_allocating
-def _take_back(s: Record, p: Record, h: int) -> None:
+def _take_back(s: Record, p: Record, f: int) -> None:
     """Go back to what was known before a contact that is recognised, or keep what is known now."""
-    s.since[h] += 1.0
-    if s.touched[h] > RECOGNISED:
-        s.means[h, 1] = s.mean[h] = s.means[h, 0]
-        s.shifts[h, 1] = s.shift[h] = s.shifts[h, 0]
-        s.lastings[h, 1] = s.lasting[h] = s.lastings[h, 0]
-        s.shift[h, WAVE_COUNT] = 0.0
-        s.covariances[h, 1] = s.covariance[h] = s.covariances[h, 0]
-        s.mean[h, WAVE_COUNT] = 0.0
-        s.covariance[h, WAVE_COUNT, :] = s.covariance[h, :, WAVE_COUNT] = 0.0
-        s.covariance[h, WAVE_COUNT, WAVE_COUNT] = p.size**2
-    elif s.since[h] >= p.late:
-        s.means[h, 0], s.shifts[h, 0] = s.means[h, 1], s.shifts[h, 1]
-        s.lastings[h, 0], s.covariances[h, 0] = s.lastings[h, 1], s.covariances[h, 1]
-        s.means[h, 1], s.shifts[h, 1] = s.mean[h], s.shift[h]
-        s.lastings[h, 1], s.covariances[h, 1] = s.lasting[h], s.covariance[h]
+    s.since[f] += 1.0
+    if s.touched[f] > RECOGNISED:
+        s.means[f, 1] = s.mean[f] = s.means[f, 0]
+        s.covariances[f, 1] = s.covariance[f] = s.covariances[f, 0]
+        s.mean[f, WAVE_COUNT] = 0.0
+        s.covariance[f, WAVE_COUNT, :] = s.covariance[f, :, WAVE_COUNT] = 0.0
+        s.covariance[f, WAVE_COUNT, WAVE_COUNT] = p.size**2
+        if f < 2:
+            s.shifts[f, 1] = s.shift[f] = s.shifts[f, 0]
+            s.lastings[f, 1] = s.lasting[f] = s.lastings[f, 0]
+            s.shift[f, WAVE_COUNT] = 0.0
+    elif s.since[f] >= p.late:
+        s.means[f, 0], s.means[f, 1] = s.means[f, 1], s.mean[f]
+        s.covariances[f, 0], s.covariances[f, 1] = s.covariances[f, 1], s.covariance[f]
+        if f < 2:
+            s.shifts[f, 0], s.shifts[f, 1] = s.shifts[f, 1], s.shift[f]
+            s.lastings[f, 0], s.lastings[f, 1] = s.lastings[f, 1], s.lasting[f]
     else:
         return
-    s.since[h] = 0.0
+    s.since[f] = 0.0
 
 
 @compiled_allocating
-def _begin_anew(s: Record) -> None:
+def _begin_anew(s: Record, p: Record, f: int) -> None:
     """Forget another power-up's ripple: what was taken for it is too large."""
-    s.other, s.proven = min(s.other, 0.0), min(s.proven, 0.0)
-    for i in range(WAVE_COUNT):
-        s.mean[1, i], s.shift[1, i] = s.expected[1, i], 0.0
-        for j in range(WAVE_COUNT + 1):
-            s.covariance[1, i, j] = s.covariance[1, j, i] = 0.0
-        s.covariance[1, i, i] = s.drawn[1, i]
+    if (s.hangs[1] > 0.5) == (f > 1):
+        s.other, s.proven = min(s.other, 0.0), min(s.proven, 0.0)
+    for i in range(PARTS):
+        if i == WAVE_COUNT:
+            continue
+        s.mean[f, i] = s.expected[1, i] if i < WAVE_COUNT else 0.0
+        for j in range(PARTS):
+            s.covariance[f, i, j] = s.covariance[f, j, i] = 0.0
+        if i < WAVE_COUNT:
+            s.covariance[f, i, i] = s.drawn[1, i]
+        elif f > 1:
+            s.covariance[f, i, i] = p.hanging[i - WAVE_COUNT - 1]
     for k in range(2):
-        s.means[1, k], s.shifts[1, k], s.lastings[1, k] = s.mean[1], s.shift[1], s.lasting[1]
-        s.covariances[1, k] = s.covariance[1]
+        s.means[f, k], s.covariances[f, k] = s.mean[f], s.covariance[f]
+    if f < 2:
+        for i in range(WAVE_COUNT):
+            s.shift[f, i] = 0.0
+        for k in range(2):
+            s.shifts[f, k], s.lastings[f, k] = s.shift[f], s.lasting[f]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
 
-from rigtool.experiments.force_filter.plant import HOUSING, SPEED, STATES, TORQUE
+from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, STATES, TORQUE
 from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.learning import LearnedModel
@@ -17,10 +17,10 @@ from rigtool.experiments.force_sensor.sensor import Sensor
 from tests.experiments.deploy import sensors
 
 STEP, BANDWIDTH = 1e-3, 10.0
-FACTOR, LAG = 1.2, 0.05
+FACTOR, LAG, RATIO = 1.2, 0.05, 0.85
 LEARNED = {(1, 0): 0.3e-3, (1, 1): -0.2e-3, (2, 0): 0.1e-3, (2, 1): 0.8e-3}
 OTHER = {(1, 0): -0.1e-3, (1, 1): 0.4e-3, (2, 0): 0.7e-3, (2, 1): -0.3e-3}
-STROKE, CONSTANT = 0.3e-3, 0.045
+STROKE, CONSTANT, MASS = 0.3e-3, 0.045, 3e-3
 
 
 def model(uncertain=0.0, growing=(), waves=LEARNED):
@@ -32,7 +32,7 @@ def model(uncertain=0.0, growing=(), waves=LEARNED):
     coefficient = np.array([2e-3, 9e-3, *waves.values(), *(size for *_, size in growing)])
     shape = Shape(2e-3, 8e-3, 5e-3, 0.3, LAG, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3)
     size = len(SLIDING_PARAMETERS) + len(terms)
-    known, covariance = Known(0.85, FACTOR, 2e-5), uncertain**2 * np.eye(size)
+    known, covariance = Known(RATIO, FACTOR, 2e-5), uncertain**2 * np.eye(size)
     learned = LearnedModel(tuple(terms), shape, known, coefficient, covariance, np.ones(2))
     return ForceModel(learned, Deviations(STROKE, 0.01, 0.1e-3, 0.15))
 
@@ -42,6 +42,7 @@ def motion(seconds=40.0, way=1.25):
     time = np.arange(round(seconds / STEP)) * STEP
     angle = 1.25 + way * np.sin(0.8 * time)
     states = np.zeros((len(time), STATES))
+    states[:, GRASPER] = angle / RATIO
     states[:, SPEED] = np.gradient(angle, STEP)
     states[:, HOUSING] = np.clip(3.75 / way * states[:, SPEED], -1, 1)
     return time, angle, states
@@ -165,6 +166,7 @@ def test_the_unit_of_torque_changes_nothing(gain):
 
 
 def test_motion_over_a_small_part_of_a_turn_shows_the_mean_of_the_ripple_there():
+    """But for a part that a load which hangs may have as well."""
     time, angle, states = motion(way=0.25)
     added = ripple(OTHER, angle) - ripple(LEARNED, angle)
     states[:, TORQUE] = contact(time) + noise(time, states) + added
@@ -172,7 +174,7 @@ def test_motion_over_a_small_part_of_a_turn_shows_the_mean_of_the_ripple_there()
     found, variance, *_ = power_up.add(angle, states, *follows(states))
     late = slice(round(20 / STEP), None)
     assert abs(added[late].mean()) > 0.8e-3
-    assert abs((found - added)[late].mean()) < 0.2 * abs(added[late].mean())
+    assert abs((found - added)[late].mean()) < 0.3 * abs(added[late].mean())
     assert np.mean(np.abs(found - added)[late] < 1.96 * np.sqrt(variance[late])) > 0.95
 
 
@@ -298,7 +300,7 @@ def test_ripple_that_grows_with_the_current_of_friction_and_load_is_in_the_varia
     np.testing.assert_array_equal(in_doubt, by_current)  # squares hold those of the errors already
 
 
-@pytest.mark.parametrize("stiffness", [10e-3, 30e-3])
+@pytest.mark.parametrize("stiffness", [20e-3, 30e-3])
 def test_a_force_that_repeats_with_the_angle_is_no_ripple(stiffness):
     """Tissue: a spring from 1.5 rad on, far larger than what a power-up draws."""
     time, angle, states = motion()
@@ -316,6 +318,36 @@ def test_a_force_that_repeats_with_the_angle_is_no_ripple(stiffness):
     # before that, no more is taken for ripple than a power-up may draw
     largest = 3 * FACTOR * sum(np.hypot(LEARNED[n, 0], LEARNED[n, 1]) for n in (1, 2))
     assert np.abs(found).max() < 1.5 * largest
+
+
+def test_u_holds_a_weak_force_that_repeats_with_the_angle():
+    """A third of it: as another ripple and a load that hangs explain it, it stays in doubt."""
+    time, angle, states = motion()
+    states[:, TORQUE] = 10e-3 * np.maximum(angle - 1.5, 0.0) + noise(time, states)
+    power_up = PowerUp(model(), STEP, BANDWIDTH)
+    found, variance, *_ = power_up.add(angle, states, *follows(states))
+    again, left, _ = power_up.whole(angle, states[:, TORQUE])
+    late = slice(round(20 / STEP), None)
+    assert np.abs(found[late]).max() > STROKE
+    for ripple_, doubt in ((found[late], variance[late]), (again, left)):
+        assert np.mean(np.abs(ripple_) < 1.96 * np.sqrt(doubt)) > 0.95
+
+
+@pytest.mark.parametrize("coefficients", [LEARNED, OTHER], ids=["learned", "another"])
+def test_a_weak_mass_that_hangs_from_the_first_sample_on_is_no_ripple(coefficients):
+    """Along a part of a turn its torque is that of low orders: in doubt at first, then a load."""
+    time, angle, states = motion()
+    added = ripple(coefficients, angle) - ripple(LEARNED, angle)
+    mass = MASS * np.sin(states[:, GRASPER])
+    states[:, TORQUE] = mass + noise(time, states) + added
+    power_up = PowerUp(model(), STEP, BANDWIDTH)
+    found, variance, *_ = power_up.add(angle, states, *follows(states))
+    again, left, _ = power_up.whole(angle, states[:, TORQUE])
+    late = slice(round(20 / STEP), None)
+    assert np.sqrt(np.mean((found - added)[late] ** 2)) < 0.3 * np.sqrt(np.mean(mass**2))
+    for ripple_, doubt in ((found, variance), (again, left)):
+        held = np.abs(ripple_ - added) < 1.96 * np.sqrt(doubt)
+        assert np.mean(held[late]) > 0.95
 
 
 def ramps(time, largest, every):

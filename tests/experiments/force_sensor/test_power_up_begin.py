@@ -11,7 +11,7 @@ from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, STAT
 from rigtool.experiments.force_model.drawn_ripple import FOLLOWED, learned_ripple, sized_waves
 from rigtool.experiments.force_model.model import ROTOR_ORDERS, Kind, Term
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
-from rigtool.experiments.force_sensor.lasting_contact import LASTING, LASTS
+from rigtool.experiments.force_sensor.lasting_contact import HANGING, HANGS, LASTING, LASTS
 from rigtool.experiments.force_sensor.power_up import PowerUp
 from rigtool.experiments.force_sensor.ripple_rows import (
     CHANGED,
@@ -130,21 +130,24 @@ def test_it_is_followed_from_the_learned_power_up_on(step_time):
         "orders": learned.orders,
         "unfollowed": learned.unfollowed,
         "square": drawn.sum(),
+        "hanging": (np.array(HANGING) * factor * size) ** 2,
     }
     assert set(expected) == set(p.dtype.names)
     for name, value in expected.items():
         assert_allclose(p[name], value, err_msg=name)
     for h, (mean, variances) in enumerate([(0 * own, CHANGED**2 * drawn), (-own, drawn)]):
-        variances = np.append(variances, (factor * size) ** 2)
         assert_allclose(s["expected"][h], mean)
-        assert_allclose(s["mean"][h], np.append(mean, 0.0))
-        assert_allclose(s["covariance"][h], np.diag(variances))
-        assert_allclose(s["drawn"][h], variances[:-1])
-        assert_allclose(s["means"][h], [s["mean"][h]] * 2)
-        assert_allclose(s["covariances"][h], [s["covariance"][h]] * 2)
+        assert_allclose(s["drawn"][h], variances)
+        for f, hanging in ((h, np.zeros(3)), (h + 2, expected["hanging"])):
+            own = [*variances, (factor * size) ** 2, *hanging]
+            assert_allclose(s["mean"][f], [*mean, 0.0, 0.0, 0.0, 0.0])
+            assert_allclose(s["covariance"][f], np.diag(own))
+            assert_allclose(s["means"][f], [s["mean"][f]] * 2)
+            assert_allclose(s["covariances"][f], [s["covariance"][f]] * 2)
     assert_allclose(s["unfollowed"], learned.unfollowed.sum(axis=0))
     assert (s["direction"], s["length"]) == (1.0, row_steps(step_time))
     assert_allclose(s["lasts"], LASTS)
+    assert_allclose(s["hangs"], HANGS)
     assert s["level_variance"] == pytest.approx((CONTACT * factor * size) ** 2)
     for name in ("lasting", "lastings"):
         assert_allclose(s[name][..., 1], (LASTING * factor * size) ** 2)

@@ -19,7 +19,8 @@ from rigtool.experiments.force_sensor.lasting_contact import (
 )
 from rigtool.experiments.force_sensor.shown_ripple import LARGEST_SHOWN, show, turned_inertia
 
-COUNT = rows.WAVE_COUNT
+COUNT, PARTS = rows.WAVE_COUNT, rows.PARTS
+M = COUNT  # what a stroke deviates by
 SIZE, TIME = 0.4e-3, 0.019
 MOST = rows.ENDS * TIME
 UNIT = math.log(2 * math.pi) / 2  # that the likelihoods of the module leave out
@@ -33,7 +34,7 @@ def drawn(seed, slides=True):
     for name, value in {"steps": 20, "time": TIME, "size": SIZE, "late": 25}.items():
         p[name] = value
     for name in ("covariance", "covariances"):
-        root = SIZE * rng.standard_normal((*s[name].shape[:-1], 3 * COUNT)) / 4
+        root = SIZE * rng.standard_normal((*s[name].shape[:-1], 3 * PARTS)) / 4
         s[name] = root @ np.swapaxes(root, -1, -2)
     for name in ("mean", "means", "expected", "level"):
         s[name] = SIZE * rng.standard_normal(s[name].shape)
@@ -45,11 +46,13 @@ def drawn(seed, slides=True):
     s["lastings"] = SIZE * rng.uniform(1, 2, s["lastings"].shape)
     s["level_variance"] = SIZE**2 * rng.uniform(1, 30, 2)
     s["other"], s["proven"] = rng.standard_normal(2)
-    for name in ("touched", "fast", "lasts"):
+    for name in ("touched", "fast", "lasts", "hangs"):
         s[name] = rng.uniform(0.1, 0.6, s[name].shape)
-    s["row"] = np.append(rng.uniform(-1, 1, COUNT), SIZE * rng.standard_normal())
+    s["row"] = rng.uniform(-1, 1, PARTS)
+    s["row"][M] = SIZE * rng.standard_normal()
+    p["hanging"] = SIZE**2 * rng.uniform(1, 2, PARTS - COUNT - 1)
     s["length"], s["filled"], s["slid"] = 17, 17, 17 if slides else 16
-    s["since"], s["doubted"], s["drawn_length"] = (3, 3), rng.integers(COUNT), rng.integers(1024)
+    s["since"], s["doubted"], s["drawn_length"] = 3, rng.integers(4 * COUNT), rng.integers(1024)
     return state, parameters
 
 
@@ -66,12 +69,12 @@ def mixed(probability, one, other):
 def after_time(s, slides):
     """Return by name what goes on by itself until the end of a row."""
     found = {name: np.copy(s[name]) for name in s.dtype.names}
-    transition = np.eye(COUNT + 1)
-    transition[-1, -1] = kept = math.exp(-TIME / rows.MEMORY) if slides else 0.0
+    transition = np.eye(PARTS)
+    transition[M, M] = kept = math.exp(-TIME / rows.MEMORY) if slides else 0.0
     for name in ("mean", "shift"):
         found[name] = s[name] @ transition
     found["covariance"] = transition @ s["covariance"] @ transition
-    found["covariance"][:, -1, -1] += (1 - kept**2) * SIZE**2
+    found["covariance"][:, M, M] += (1 - kept**2) * SIZE**2
     begun, ended = (1 - s["touched"]) * rows.BEGINS * TIME, s["touched"] * rows.ENDS * TIME
     found["touched"] = s["touched"] + begun - ended
     half = rows.CHANGES * TIME / 2  # a walk that changes becomes either with equal probability
@@ -81,16 +84,18 @@ def after_time(s, slides):
     found["level_variance"] = s["level_variance"] + walks + turned
     if slides:
         found["lasting"] = s["lasting"] + [0, (DRIFT * SIZE) ** 2 * TIME]
-        one = int(s["doubted"])
-        found["covariance"][:, one, one] += COUNT * s["drawn"][:, one] * TIME / rows.FORGOTTEN
-        found["doubted"] = (one + 1) % COUNT
+        # each wave of each filter in turn
+        one, f = divmod(int(s["doubted"]), 4)
+        grown = 4 * COUNT * s["drawn"][f % 2, one] * TIME / rows.FORGOTTEN
+        found["covariance"][f, one, one] += grown
+        found["doubted"] = (s["doubted"] + 1) % (4 * COUNT)
     return found
 
 
 def read(s):
     """Return by name what a row that slides leaves."""
     found = after_time(s, True)
-    noise, value = (rows.NOISE * SIZE) ** 2, s["row"][-1]
+    noise, value = (rows.NOISE * SIZE) ** 2, s["row"][M]
     # where something touches: two walks, of which either may leap
     anew, likely = (rows.CONTACT * SIZE) ** 2, []
     for i in range(2):
@@ -104,29 +109,35 @@ def read(s):
         found["level"][i] = level + gain * (value - level)
         found["level_variance"][i] = (1 - gain) * variance
     touching, found["fast"] = mixed(found["fast"], *likely)
-    evidence, seen = [], np.append(s["row"][:-1], 1.0)
-    for h in range(2):
-        mean, covariance, shift = (
-            found[name][h].copy() for name in ("mean", "covariance", "shift")
-        )
+    evidence, seen = [], np.array(s["row"])
+    seen[M] = 1.0
+    for f in range(4):
+        mean, covariance = found["mean"][f].copy(), found["covariance"][f].copy()
         error, variance = value - seen @ mean, seen @ covariance @ seen + noise
-        own, lasting = 1 + seen @ shift, found["lasting"][h].copy()
-        before = found["touched"][h]
+        before = found["touched"][f]
         alone, touched = mixed(before, density(error, variance), touching)
+        evidence.append(rows.ROW_EVIDENCE * alone)
+        found["touched"][f] = touched
+        gain = (1 - touched) * covariance @ seen / variance
+        found["mean"][f] = mean + gain * error
+        found["covariance"][f] = covariance - np.outer(gain, seen @ covariance)
+        if f > 1:  # a load hangs
+            continue
+        shift, lasting = found["shift"][f].copy(), found["lasting"][f].copy()
+        own = 1 + seen @ shift
         whole = variance + own**2 * lasting[1]
         lasts, _ = mixed(before, density(error - own * lasting[0], whole), touching)
-        halves = rows.ROW_EVIDENCE * alone, rows.ROW_EVIDENCE * lasts
-        likely, found["lasts"][h] = mixed(found["lasts"][h], *halves)
-        evidence.append(likely)
-        found["touched"][h] = touched
-        gain = (1 - touched) * covariance @ seen / variance
+        evidence[f], found["lasts"][f] = mixed(
+            found["lasts"][f], evidence[f], rows.ROW_EVIDENCE * lasts
+        )
         part = (1 - touched) * own * lasting[1] / whole
-        found["lasting"][h] = [
+        found["lasting"][f] = [
             lasting[0] + part * (error - own * lasting[0]),
             lasting[1] * (1 - part * own),
         ]
-        found["mean"][h], found["shift"][h] = mean + gain * error, shift - gain * own
-        found["covariance"][h] = covariance - np.outer(gain, seen @ covariance)
+        found["shift"][f] = shift - gain * own
+    for h in range(2):
+        evidence[h], found["hangs"][h] = mixed(found["hangs"][h], evidence[h], evidence[h + 2])
     found["other"] = s["other"] + evidence[1] - evidence[0]
     found["proven"] = s["proven"] + np.clip(found["other"] - s["proven"], -MOST, MOST)
     return found
@@ -134,42 +145,45 @@ def read(s):
 
 def together(found):
     """Return by name what the hypotheses are together: moments of a mixture of normals, each with
-    and without a contact that lasts."""
-    lasts, (lasting, doubt) = found["lasts"][:, None], found["lasting"].T[:, :, None]
-    shift, mean = found["shift"][:, :-1], found["mean"][:, :-1]
-    covariance = found["covariance"][:, :-1, :-1]
-    own = mean + lasts * lasting * shift
+    a load that hangs and without, then with and without a contact that lasts."""
+    lasts, hangs, lasting = found["lasts"], found["hangs"], found["lasting"]
+    shift, mean = found["shift"][:, :COUNT], found["mean"][:, :COUNT]
+    covariance = found["covariance"][:, :COUNT, :COUNT]
+    own = mean.copy()
+    own[:2] += (lasts * lasting[:, 0])[:, None] * shift
     normals = [multivariate_normal(np.zeros(COUNT), np.diag(found["drawn"][0]))]
-    normals.append(multivariate_normal(own[0], covariance[0]))
-    unchanged, near = (normal.logpdf(np.zeros(COUNT)) for normal in normals[::-1])
-    ratio = np.clip(rows.ROW_EVIDENCE * (unchanged - near), -rows.MAX_LOG_RATIO, rows.MAX_LOG_RATIO)
-    odds = np.array([rows.SAME * np.exp(ratio), 1 - rows.SAME, np.exp(found["other"])])
+    normals += [multivariate_normal(own[f], covariance[f]) for f in (0, 2)]
+    unchanged, *near = (normal.logpdf(np.zeros(COUNT)) for normal in normals)
+    ratio = rows.ROW_EVIDENCE * (np.array(near) - unchanged)
+    ratio = np.exp(np.clip(ratio, -rows.MAX_LOG_RATIO, rows.MAX_LOG_RATIO))
+    same = rows.SAME * ((1 - hangs[0]) * ratio[0] + hangs[0] * ratio[1])
+    odds = np.array([same, 1 - rows.SAME, np.exp(found["other"])])
     same, *weights = odds / odds.sum()
-    parts = [(same, np.zeros(COUNT), np.zeros((COUNT, COUNT)))]
-    for h in range(2):
-        by = np.outer(shift[h], shift[h]) * doubt[h]
-        parts.append((weights[h] * (1 - lasts[h, 0]), mean[h], covariance[h]))
-        parts.append(
-            (weights[h] * lasts[h, 0], mean[h] + lasting[h] * shift[h], covariance[h] + by)
-        )
-    known = sum(part * mean for part, mean, _ in parts)
     counts = np.array([weights[0], max(min(4 * weights[1] ** 2, 1.0), weights[1])])
-    scaled = np.array([1.0, 1.0, 1.0, *[counts[1] / weights[1]] * 2])
-    square = sum(
-        more * part * (covariance + np.outer(m - known, m - known))
-        for more, (part, m, covariance) in zip(scaled, parts, strict=True)
-    )
+    parts = [(same, 1.0, np.zeros(COUNT), np.zeros((COUNT, COUNT)))]
+    for h in range(2):
+        by, more = np.outer(shift[h], shift[h]) * lasting[h, 1], counts[h] / weights[h]
+        left = weights[h] * (1 - hangs[h])
+        parts.append((left * (1 - lasts[h]), more, mean[h], covariance[h]))
+        parts.append(
+            (left * lasts[h], more, mean[h] + lasting[h, 0] * shift[h], covariance[h] + by)
+        )
+        parts.append((weights[h] * hangs[h], more, mean[h + 2], covariance[h + 2]))
+    known = sum(part * m for part, _, m, _ in parts)
+    # with a load that hangs or without, what the mean of the mixture is off by counts for each;
+    # that of a contact that lasts and without is one mean
+    square = sum(more * part * (c + np.outer(m - known, m - known)) for part, more, m, c in parts)
     return found | {"weights": weights, "counts": counts, "known": known, "doubt": np.tril(square)}
 
 
 def begun(s, found):
     """Return what is found, with the next row begun."""
     length = (137 * s["drawn_length"] + 29) % 1024
-    row = {"row": np.zeros(COUNT + 1), "filled": 0, "slid": 0, "drawn_length": length}
+    row = {"row": np.zeros(PARTS), "filled": 0, "slid": 0, "drawn_length": length}
     return together(found) | row | {"length": 10 + 20 * length // 1024}
 
 
-KEPT = ("mean", "shift", "lasting", "covariance")
+KEPT = ("mean", "covariance", "shift", "lasting")
 
 
 def assert_state(s, expected):
@@ -185,7 +199,7 @@ def assert_state(s, expected):
 def test_a_row_is_read_as_its_equations_have_it(seed):
     state, parameters = drawn(seed)
     if seed % 2:
-        state["row"][0, -1] *= 20  # a leap, where something touches
+        state["row"][0, M] *= 20  # a leap, where something touches
     expected = begun(state[0], read(state[0]) | {"since": 4})
     rows.read_row(state[0], parameters[0])
     assert_state(state[0], expected)
@@ -198,10 +212,10 @@ def test_orders_that_were_not_learned_show_no_change():
     without = s["weights"].copy()
     for name in ("mean", "shift", "drawn", "covariance"):
         s[name][..., 4:6] = 0.0
-    s["covariance"][:, 4:6] = 0.0
+    s["covariance"][:, 4:6], s["hangs"] = 0.0, 0.0
     kept = [i for i in range(COUNT) if i not in (4, 5)]
     own = multivariate_normal(
-        (s["mean"] + s["lasts"][:, None] * s["lasting"][:, :1] * s["shift"])[0, kept],
+        (s["mean"][0] + s["lasts"][0] * s["lasting"][0, 0] * s["shift"][0])[kept],
         s["covariance"][0][np.ix_(kept, kept)],
     )
     ratio = own.logpdf(np.zeros(len(kept)))
@@ -223,34 +237,37 @@ def test_a_row_in_which_the_motion_turns_back_is_not_read():
     assert_state(state[0], expected)
 
 
+@pytest.mark.parametrize("hung", [0, 2])
 @pytest.mark.parametrize("times", [0.99, 1.01])
-def test_an_order_beyond_three_times_what_a_power_up_draws_begins_anew(times):
-    """Each order has the sum of both of its variances."""
+def test_an_order_beyond_three_times_what_a_power_up_draws_begins_anew(times, hung):
+    """Each order has the sum of both of its variances; evidence goes with the likelier filter."""
     state, parameters = drawn(0)
-    s, order = state[0], 2 * (COUNT // 2 - 1)
-    s["covariance"] = 1e-9 * np.diag(s["drawn"][0, 0] * np.ones(COUNT + 1))  # a row changes no mean
+    s, order, waves = state[0], 2 * (COUNT // 2 - 1), slice(COUNT)
+    s["covariance"] = 1e-9 * np.diag(s["drawn"][0, 0] * np.ones(PARTS))  # a row changes no mean
     limit = rows.LARGEST_RIPPLE_RATIO * math.sqrt(s["drawn"][1, order : order + 2].sum())
-    s["mean"][:, :COUNT] = s["expected"]
-    s["mean"][:, order : order + 2] += times * limit * np.array([0.6, -0.8])
-    s["row"][-1], s["lasts"] = s["row"][:-1] @ s["mean"][1, :-1], 0.0
-    s["other"], s["proven"] = 300.0, 5.0
+    s["mean"], s["mean"][:, waves] = 0.0, np.tile(s["expected"], (2, 1))
+    s["mean"][hung : hung + 2, order : order + 2] += times * limit * np.array([0.6, -0.8])
+    s["row"][M], s["lasts"] = s["row"][waves] @ s["mean"][hung + 1, waves], 0.0
+    s["other"], s["proven"], s["hangs"] = 300.0, 5.0, 0.999 if hung else 0.001
+    for name in ("mean", "covariance"):  # a filter that sees a contact goes back to the same
+        s[name + "s"] = s[name][:, None]
     kept = s["mean"].copy()
     rows.read_row(s, parameters[0])
+    one = hung + 1
+    for f in {0, 1, 2, 3} - ({one} if times > 1 else set()):  # the other ones stay
+        assert_allclose(s["mean"][f, waves], kept[f, waves], rtol=1e-4)
     if times < 1:
-        assert_allclose(s["mean"][1, :COUNT], kept[1, :COUNT], rtol=1e-4)
         return
     assert s["other"] == 0.0
     assert s["proven"] == 0.0
-    assert_allclose(s["mean"][1, :COUNT], s["expected"][1])
-    assert not s["shift"][1, :COUNT].any()
-    own = np.eye(COUNT + 1)[:COUNT] * np.append(s["drawn"][1], 0)
-    assert_allclose(s["covariance"][1, :COUNT], own)
-    assert s["covariance"][1, -1, -1] > 0
-    for name in KEPT:
-        assert_allclose(s[name + "s"][1], [s[name][1]] * 2)
-    # one near the learned ripple stays
-    assert_allclose(s["mean"][0, :COUNT], kept[0, :COUNT], rtol=1e-4)
-    assert np.diag(s["covariance"][0])[:COUNT].max() < 1e-2 * s["drawn"][0].min()
+    assert_allclose(s["mean"][one, waves], s["expected"][1])
+    own = [*s["drawn"][1], s["covariance"][one, M, M], *(parameters["hanging"][0] * (hung > 0))]
+    assert_allclose(s["covariance"][one], np.diag(own))
+    assert s["covariance"][one, M, M] > 0
+    assert not s["mean"][one, M + 1 :].any()
+    for name in KEPT[: 2 if hung else 4]:
+        assert_allclose(s[name + "s"][one], [s[name][one]] * 2)
+    assert hung or not s["shift"][1, waves].any()
 
 
 def test_odds_stay_within_the_largest_ratio():
@@ -275,23 +292,24 @@ def test_evidence_that_stays_grows_as_a_contact_may_have_lasted(other):
 def test_what_was_known_before_a_recognised_contact_comes_back():
     state, parameters = drawn(4)
     s = state[0]
-    s["row"][-1] = 60 * SIZE
+    s["row"][M] = 60 * SIZE
     before = {name: s[name + "s"].copy() for name in KEPT}
     proven = s["proven"].copy()
     rows.read_row(s, parameters[0])
     assert s["touched"].min() > rows.RECOGNISED
     assert s["other"] == s["proven"] == proven
     assert not s["since"].any()
+    left = [i for i in range(PARTS) if i != M]  # what strokes deviate by is drawn anew
     for name in KEPT:
-        # what strokes deviate by is drawn anew
-        own = (..., slice(COUNT), slice(COUNT)) if name == "covariance" else (..., slice(COUNT))
+        own = (..., *np.ix_(left, left)) if name == "covariance" else (..., left)
+        own = ... if name == "lasting" else own
         for again in (s[name], s[name + "s"][:, 1]):
             assert_allclose(again[own], before[name][:, 0][own], err_msg=name)
         assert_allclose(s[name + "s"][:, 0], before[name][:, 0])
-    assert not s["mean"][:, -1].any()
-    assert not s["shift"][:, -1].any()
-    assert_allclose(s["covariance"][:, -1], [np.append(np.zeros(COUNT), SIZE**2)] * 2)
-    assert_allclose(s["covariance"][..., -1], s["covariance"][:, -1])
+    assert not s["mean"][:, M].any()
+    assert not s["shift"][:, M].any()
+    assert_allclose(s["covariance"][:, M], [SIZE**2 * np.eye(PARTS)[M]] * 4)
+    assert_allclose(s["covariance"][..., M], s["covariance"][:, M])
 
 
 @pytest.mark.parametrize(("since", "moved"), [(23, False), (24, True)])
@@ -311,7 +329,7 @@ def test_what_is_known_is_kept_every_so_many_rows(since, moved):
 def test_a_row_that_is_surely_touched_leaves_the_ripple_alone():
     state, parameters = drawn(0)
     s = state[0]
-    s["row"][-1] = 300 * SIZE
+    s["row"][M] = 300 * SIZE
     for name in KEPT:
         s[name + "s"][:] = s[name][:, None]
     expected = after_time(s, True)
