@@ -62,14 +62,18 @@ def analyse_arrays(
             f"{', '.join(plan)}"
         )
     given = {name: _signals(plan[name], signals) for name, signals in arrays.items()}
+    specs = []
     for name, signals in given.items():
         _require_rate(plan[name], signals["time"], known.rig.sample_time)
+        own = (item for item in plan[name].channels if item.name in signals)
+        exact = tuple(replace(item, dtype="f8") for item in own)  # without loss of digits
+        specs.append(replace(plan[name], channels=exact))
     with RunWriter(
         output,
         command=procedure.command,
         recipe=known,
         recipe_text=text,
-        recordings=[_as_given(plan[name], signals) for name, signals in given.items()],
+        recordings=specs,
         inputs=list(inputs.values()),
         overwrite=options.overwrite,
         copied=True,
@@ -80,12 +84,6 @@ def analyse_arrays(
         outcome = replace(outcome, notes=(NOTE, *outcome.notes))
         writer.finish(outcome.results, outcome.tables, outcome.notes)
     return outcome
-
-
-def _as_given(spec: RecordingSpec, signals: Mapping[str, Array]) -> RecordingSpec:
-    """Return the signals to store, without loss of digits."""
-    channels = (replace(item, dtype="f8") for item in spec.channels if item.name in signals)
-    return replace(spec, channels=tuple(channels))
 
 
 def _signals(spec: RecordingSpec, signals: Signals) -> dict[str, Array]:

@@ -18,7 +18,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from textwrap import TextWrapper
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
@@ -215,6 +215,10 @@ set_option = click.option(
 )
 
 
+COMMON_OPTIONS = ("seed", "overrides", "dry_run", "yes", "spy", "live")
+"""Options of measuring that are fields of `CommonOptions`."""
+
+
 def common_options(function: CommandFunction) -> CommandFunction:
     """Add the options of measuring; they arrive together as `options`, a `CommonOptions`."""
 
@@ -238,19 +242,10 @@ def common_options(function: CommandFunction) -> CommandFunction:
     )
     @click.option("--no-progress", is_flag=True, help="Draw no progress bars.")
     @functools.wraps(function)
-    def collected(
-        *args: Any,
-        no_progress: bool,
-        seed: int | None,
-        overrides: tuple[str, ...],
-        dry_run: bool,
-        yes: bool,
-        spy: str | None,
-        live: Literal["terminal", "window"] | None,
-        **kwargs: Any,
-    ) -> Any:
+    def collected(*args: Any, no_progress: bool, **kwargs: Any) -> Any:
         output = current_output()
-        if live == "terminal" and not sys.stderr.isatty():
+        own = {name: kwargs.pop(name) for name in COMMON_OPTIONS}
+        if own["live"] == "terminal" and not sys.stderr.isatty():
             raise click.UsageError(
                 "--live draws at a terminal, and stderr is not a terminal: leave it out"
             )
@@ -258,12 +253,7 @@ def common_options(function: CommandFunction) -> CommandFunction:
         options = CommonOptions(
             progress=sys.stderr.isatty() and not output.quiet and not no_progress,
             overwrite=output.overwrite,
-            seed=seed,
-            overrides=overrides,
-            dry_run=dry_run,
-            yes=yes,
-            spy=spy,
-            live=live,
+            **own,
         )
         return function(*args, options=options, **kwargs)
 

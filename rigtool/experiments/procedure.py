@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 
+from rigtool.errors import UsageError
 from rigtool.experiments.outcome import Outcome
 from rigtool.recipe import Recipe
 from rigtool.rigs import Block, Rig, Task
-from rigtool.runfile import Channel, RecordingSpec, RunWriter
+from rigtool.runfile import Channel, RecordingSpec, Run, RunWriter
 from rigtool.signals import CHANNELS
 
 
@@ -53,6 +54,13 @@ class Procedure:
 def channels(*names: str) -> tuple[Channel, ...]:
     """Return the channels of these names as run files describe them."""
     return tuple(Channel(name, *CHANNELS[name]) for name in names)
+
+
+def only_run(runs: Sequence[Run], command: str, what: str) -> Run:
+    """Return the one run that a command takes, with all of `what`; `UsageError` for more."""
+    if len(runs) > 1:
+        raise UsageError(f"{len(runs)} run files: {command} takes one, with all its {what}")
+    return runs[0]
 
 
 def record(

@@ -86,7 +86,8 @@ def records(table: Table) -> Iterator[dict[str, float]]:
 
 def markdown_table(table: ReportTable) -> str:
     """Write a pipe table under its title."""
-    heads = [escapes.markdown(_head(column)) for column in table.columns]
+    titles = [f"{c.title} [{c.unit}]" if c.unit else c.title for c in table.columns]
+    heads = [escapes.markdown(title) for title in titles]
     rules = ["---:" if column.numeric else ":---" for column in table.columns]
     rows = [[escapes.markdown(cell.text) for cell in row] for row in table.rows]
     lines = [f"| {' | '.join(cells)} |" for cells in (heads, rules, *rows)]
@@ -158,10 +159,6 @@ def terminal_table(table: ReportTable) -> str:
     rule = "-" * (sum(widths) + 2 * (len(widths) - 1))
     note = wrap(table.note, max(80, len(rule)))
     return "\n".join([table.title, "", *lines[:2], rule, *lines[2:], *note]) + "\n"
-
-
-def _head(column: ReportColumn) -> str:
-    return f"{column.title} [{column.unit}]" if column.unit else column.title
 
 
 def _plain(value: float | str | None) -> str:

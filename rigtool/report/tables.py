@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from rigtool.quantity import Quantity, customary, format_number, format_quantity
+from rigtool.quantity import customary, format_number, format_quantity
 from rigtool.report.formats import (
     NO_VALUE,
     Cell,
@@ -144,14 +144,17 @@ def results_table(run: Run, label: str) -> ReportTable:
     rows = []
     for name, quantity in run.results.items():
         published = published_value(run.command, name, attachment) if compared else None
-        shown = customary(name, quantity)
+        shown, beside = customary(name, quantity), (NO_VALUE, NO_VALUE)
+        if published is not None:  # in the unit in which the result is shown
+            stated = replace(quantity, value=published.value, u=None, reason="published")
+            text = f"{customary(name, stated, quantity.value).value:.4g}"
+            beside = Cell(text, published.value), Cell(published.section, published.section)
         rows.append(
             (
                 Cell(name, name),
                 Cell(format_number(shown.value, shown.u), quantity.value, quantity.u),
                 Cell("" if shown.unit == "1" else shown.unit, quantity.unit),
-                NO_VALUE if published is None else _published_cell(name, published.value, quantity),
-                NO_VALUE if published is None else Cell(published.section, published.section),
+                *beside,
                 Cell(quantity.reason or "", quantity.reason or ""),
             )
         )
@@ -281,9 +284,3 @@ def _force_row(measured: dict[str, float], published: dict[str, float] | None) -
         number_cell(measured["error_percent"], "+.1f", 1),
         number_cell(stated.get("error_percent"), "+.0f", 1),
     )
-
-
-def _published_cell(name: str, value: float, beside: Quantity) -> Cell:
-    """Return a published value in the unit in which the result beside it is shown."""
-    published = Quantity(value, beside.unit, reason="published")
-    return Cell(f"{customary(name, published, beside.value).value:.4g}", value)

@@ -43,7 +43,10 @@ def recover(
     """
     part = Path(part)
     require_file(part)
-    output = _output(part, output, overwrite)
+    if output is None and part.suffix != ".part":
+        raise UsageError(f"{part}: its name does not end in .part, so give the output by -o")
+    found = part.with_suffix("") if output is None else Path(output)
+    output = require_output(found, overwrite=overwrite, inputs=[part])
     # The part may have the name that a writer of `output` would give to its own part.
     with _open_unfinished(part) as run, own_folder(output.parent) as folder:
         beside = folder / "recovered.h5"
@@ -57,13 +60,6 @@ def recover(
             writer.finish({}, {}, [f"recovered {total} samples of a run that was interrupted"])
         os.replace(beside, output)
     return Recovered(output, samples, lost)
-
-
-def _output(part: Path, output: str | os.PathLike[str] | None, overwrite: bool) -> Path:
-    if output is None and part.suffix != ".part":
-        raise UsageError(f"{part}: its name does not end in .part, so give the output by -o")
-    found = part.with_suffix("") if output is None else Path(output)
-    return require_output(found, overwrite=overwrite, inputs=[part])
 
 
 def _open_unfinished(path: Path) -> Run:

@@ -88,9 +88,3 @@ any rig, and its powers stay numbers."""
 def version_text() -> str:
     """Return the version of the schema that this rigtool writes."""
     return f"{VERSION[0]}.{VERSION[1]}"
-
-
-def parse_version(text: str) -> tuple[int, int]:
-    """Split '1.0' into two numbers; raises ValueError for any other text."""
-    major, minor = text.split(".")
-    return int(major), int(minor)

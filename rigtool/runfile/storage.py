@@ -67,18 +67,16 @@ def flush(file: h5py.File) -> None:
     os.ftruncate(file.id.get_vfd_handle(), file.id.get_filesize())
 
 
-def is_locked(path: Path) -> bool:
-    """Return whether another program is writing a file; False on systems without such locks."""
-    with path.open("r+b") as stream:
-        return not lock(stream.fileno())
+def require_unlocked(path: Path, *, remove: bool = False) -> None:
+    """Raise `UsageError` where another run is writing a file; `remove` it otherwise.
 
-
-def remove_unlocked(path: Path) -> None:
-    """Remove what an earlier run left; raises `UsageError` where another one is writing it."""
+    Systems without such locks do not tell.
+    """
     with contextlib.suppress(FileNotFoundError), path.open("r+b") as old:
         if not lock(old.fileno()):
             raise written_by_another(path)
-        path.unlink()
+        if remove:
+            path.unlink()
 
 
 def take_free_name(own: Path, name: Path) -> None:
@@ -127,15 +125,11 @@ def lock(handle: int, *, shared: bool = False) -> bool:
 
 
 def sync_path(path: Path) -> None:
-    """Wait until a file's data are on the disk."""
+    """Wait until a file's data, or the names in a folder, are on the disk."""
+    if path.is_dir() and os.name != "posix":
+        return  # which cannot do that
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def sync_folder(path: Path) -> None:
-    """Wait until the names in a folder are on the disk, where the system can do that."""
-    if os.name == "posix":
-        sync_path(path)

@@ -15,7 +15,7 @@ bytes, the size of its messages in 1 byte, the messages and their checksum.
 
 from __future__ import annotations
 
-import os
+import io
 from pathlib import Path
 from typing import Any
 
@@ -31,39 +31,26 @@ TIMES, MESSAGES = slice(6, 22), 23
 _MASK = 0xFFFFFFFF
 
 
-class _Unclosed:
-    """A readable file with other bytes at its start, as far as h5py needs one."""
+class _Unclosed(io.FileIO):
+    """A file with other bytes at its start, as h5py reads it: by `readinto`."""
 
     def __init__(self, path: Path, start: bytes) -> None:
-        self._path, self._start, self._place = path, start, 0
-        self._handle = os.open(path, os.O_RDONLY)
-        self._size = os.fstat(self._handle).st_size
+        super().__init__(path)
+        self._start = start
 
     def __del__(self) -> None:
-        os.close(self._handle)
+        self.close()  # h5py leaves it open
 
     def __repr__(self) -> str:
         """Return the path, which h5py takes as the name of the file."""
-        return str(self._path)
-
-    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        self._place = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._place}.get(whence, self._size)
-        return self._place
-
-    def tell(self) -> int:
-        return self._place
-
-    def read(self, size: int) -> bytes:
-        """Read as a file does, with the other bytes at the start."""
-        data = os.pread(self._handle, size, self._place)
-        shown = self._start[self._place : self._place + len(data)]
-        self._place += len(data)
-        return shown + data[len(shown) :]
+        return str(self.name)
 
     def readinto(self, buffer: Any) -> int:
-        data = self.read(len(buffer))
-        buffer[: len(data)] = data
-        return len(data)
+        """Read as a file does, with the other bytes at the start."""
+        shown = self._start[self.tell() :][: len(buffer)]
+        size = super().readinto(buffer)
+        buffer[: len(shown)] = shown
+        return size
 
 
 def open_unclosed(path: Path) -> h5py.File:

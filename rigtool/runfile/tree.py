@@ -143,12 +143,6 @@ def root_text(file: h5py.File, name: str) -> str | None:
     return str(_decoded(array))
 
 
-def is_signal(path: str) -> bool:
-    """Return whether the dataset of this path holds samples of a recording."""
-    parts = path.split("/")
-    return len(parts) == 5 and parts[1:3] == [schema.ENTRY, schema.RECORDINGS]
-
-
 _BOOKKEEPING = {b"CLASS", b"NAME", b"DIMENSION_LIST", b"REFERENCE_LIST"}
 """Attributes with which HDF5 ties dimension scales to datasets; they hold references."""
 
@@ -218,7 +212,9 @@ class _Loader:
         dtype = self._dtype(kind, path)
         self._check(handle, path, shape, kind, dtype)
         attributes = self._attributes(handle, path)
-        if is_signal(path) and dtype is not None:
+        parts = path.split("/")
+        of_signal = len(parts) == 5 and parts[1:3] == [schema.ENTRY, schema.RECORDINGS]
+        if of_signal and dtype is not None:
             self._spend("bytes of samples", math.prod(shape) * dtype.itemsize, path)
             return Values(path, attributes, dtype.str, shape, None)
         read = partial(handle.read, h5py.h5s.ALL, h5py.h5s.ALL)

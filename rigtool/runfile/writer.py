@@ -196,7 +196,7 @@ class RunWriter:
                 self._finished = True
                 self._marks.close()
                 self.part.unlink()
-                storage.sync_folder(self.path.parent)
+                storage.sync_path(self.path.parent)
 
     def _require_free(self, inputs: Sequence[str | os.PathLike[str]]) -> None:
         """Refuse an output, or a part beside it, that would be lost."""
@@ -217,8 +217,7 @@ class RunWriter:
             raise UsageError(f"{self.part}: is no part of a run of rigtool: move it away")
         if any(os.path.exists(name) and self.part.samefile(name) for name in inputs):
             raise UsageError(f"{self.part}: is an input of this run: give the output another name")
-        if storage.is_locked(self.part):
-            raise storage.written_by_another(self.part)
+        storage.require_unlocked(self.part)
 
     def _owns_part(self) -> bool:
         # Someone else may have started the same output with --overwrite meanwhile.
@@ -236,7 +235,7 @@ class RunWriter:
 
         The file has its lock before it has its name: of runs that begin at one moment one goes on.
         """
-        storage.remove_unlocked(self.part)  # `_require_free` looked at it
+        storage.require_unlocked(self.part, remove=True)  # `_require_free` looked at it
         with own_file(self.path) as new:
             with new.open("r+b") as stream:
                 self._inode = os.fstat(stream.fileno()).st_ino

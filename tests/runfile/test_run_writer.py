@@ -264,7 +264,7 @@ def test_of_two_writers_that_begin_at_one_moment_one_goes_on(tmp_path, monkeypat
         monkeypatch.setattr(os, "link", Mock(side_effect=PermissionError(1, "no links")))
     first, second = writer(path, overwrite=True), writer(path, overwrite=True)
     if not seen:  # the other one has looked before this one took the name
-        monkeypatch.setattr("rigtool.runfile.storage.remove_unlocked", lambda part: None)
+        monkeypatch.setattr("rigtool.runfile.storage.require_unlocked", lambda part, remove: None)
     with first:
         first.append("sweep", samples(50)["sweep"])
         with pytest.raises(UsageError, match="being written"):

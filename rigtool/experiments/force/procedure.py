@@ -43,7 +43,7 @@ from rigtool.experiments.learning.stored_table import (
     require_same_rig,
 )
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.procedure import Procedure, channels, record
+from rigtool.experiments.procedure import Procedure, channels, only_run, record
 from rigtool.experiments.torque_per_ampere import (
     learned_constant,
     mean_constant,
@@ -140,9 +140,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: Run) -> Out
     for settings of the other one of both readings, `RunFileError` for inputs of another rig,
     `InsufficientDataError` where the signals do not carry a reading.
     """
-    if len(runs) > 1:
-        raise UsageError(f"{len(runs)} run files: measure-force takes one, with all its loads")
-    run = runs[0]
+    run = only_run(runs, "measure-force", "loads")
     recorded = run.recordings_named("load_")
     if not recorded:
         _require_as_stored(run, recipe, KNOWN_LOAD_SETTINGS, "has no known loads")

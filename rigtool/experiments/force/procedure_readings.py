@@ -78,7 +78,8 @@ def _filtered(recording: Recording, recipe: Recipe) -> tuple[Array, float, Array
     Read block by block, so that memory does not grow with the recording.
     """
     cutoff = recipe.measure_force.lowpass_hz
-    rate, last, samples = _rate(recording), np.zeros(0), 0
+    rate = 1 / require_rising(recording.read("time", 0, min(recording.size, RATE_SAMPLES)))
+    last, samples = np.zeros(0), 0
     collected = Decimator(factor := kept_factor(rate, cutoff), 4, recording.size)
     speed = 2 * math.pi * recipe.measure_force.speed_rev_per_s * recipe.rig.angle_ratio
     way = np.zeros(2)
@@ -91,8 +92,3 @@ def _filtered(recording: Recording, recipe: Recipe) -> tuple[Array, float, Array
     for signal in thinned:  # one by one: the filter holds several copies of what it works on
         signal[:] = lowpass(rate / factor, signal, cutoff)
     return thinned, rate / factor, way
-
-
-def _rate(recording: Recording) -> float:
-    """Return the usual sampling frequency at the start of a recording, Hz."""
-    return 1 / require_rising(recording.read("time", 0, min(recording.size, RATE_SAMPLES)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, fields
 
 import numpy as np
@@ -181,17 +180,19 @@ def model_from(run: Run, recipe: Recipe) -> ForceModel:
                 *(table[name] for name in ("kind", "spread", "order", "quarter")), strict=True
             )
         )
-        shape = _shape_of(run)
+        sizes = {f.name: _value(run, f.name, positive=True) for f in fields(Shape)}
         covariance = run.table(COVARIANCE, covariance="1")["covariance"]
         learned = LearnedModel(
             terms,
-            shape,
+            Shape(**sizes),
             Known(rig.angle_ratio, rig.torque_factor, rig.nominal_inertia, _value(run, OFFSET)),
             table["coefficient"],
             covariance.reshape(len(SLIDING_PARAMETERS) + len(terms), -1),
             np.zeros(2),
         )
-        deviations = _deviations_of(run)
+        random = {
+            f.name: _value(run, f.name, positive=f.name == "noise_time") for f in fields(Deviations)
+        }
         scales = run.table(
             SCALES, **dict.fromkeys([name + p for name in _FORMS for p in _OF_SCALES], "1")
         )
@@ -204,26 +205,11 @@ def model_from(run: Run, recipe: Recipe) -> ForceModel:
         raise RunFileError(
             f"{run.path}: its model of motor and instrument cannot be used: {error}; learn it again"
         ) from None
-    return ForceModel(learned, deviations, factors, thresholds)
+    return ForceModel(learned, Deviations(**random), factors, thresholds)
 
 
-def _value(run: Run, name: str) -> float:
-    return run.result(MODEL_PREFIX + name, MODEL_UNITS[name]).value
-
-
-def _shape_of(run: Run) -> Shape:
-    found = {f.name: _value(run, f.name) for f in fields(Shape)}
-    _require_positive(found)
-    return Shape(**found)
-
-
-def _deviations_of(run: Run) -> Deviations:
-    found = {f.name: _value(run, f.name) for f in fields(Deviations)}
-    _require_positive({"noise_time": found["noise_time"]})
-    return Deviations(**found)
-
-
-def _require_positive(sizes: Mapping[str, float]) -> None:
-    for name, size in sizes.items():
-        if not size > 0:
-            raise ValueError(f"{MODEL_PREFIX}{name} is {size:g}, must be positive")
+def _value(run: Run, name: str, *, positive: bool = False) -> float:
+    value = run.result(MODEL_PREFIX + name, MODEL_UNITS[name]).value
+    if positive and not value > 0:
+        raise ValueError(f"{MODEL_PREFIX}{name} is {value:g}, must be positive")
+    return value

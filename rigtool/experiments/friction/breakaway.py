@@ -168,7 +168,9 @@ def around_turn(ramps: list[TorqueRamp], positions: Array | None = None) -> Brea
             f"the shaft did not break away in {stuck} of {len(ramps)} ramps: where it stood still, "
             "raise stribeck.breakaway_limit; where it crept, stribeck.breakaway_angle"
         )
-    here = _positions(ramps) if positions is None else positions
+    by_sign = [np.array([r.position for r in ramps if r.direction == s]) for s in (1.0, -1.0)]
+    # those of the direction with most ramps, rising
+    here = group_angles(max(by_sign, key=len))[0] if positions is None else positions
     reach = np.pi / len(here)
     total = {sign: np.zeros(len(here)) for sign in (1.0, -1.0)}
     count = {sign: np.zeros(len(here)) for sign in (1.0, -1.0)}
@@ -191,9 +193,3 @@ def around_turn(ramps: list[TorqueRamp], positions: Array | None = None) -> Brea
             dof += mean.dof
     scatter = float(np.sqrt(sum(s * d for s, d in scatters) / dof)) if dof else np.nan
     return Breakaway(here, columns[1.0], columns[-1.0], scatter, dof, stuck)
-
-
-def _positions(ramps: list[TorqueRamp]) -> Array:
-    """Return the positions of the direction with most ramps, rising, (k,) rad."""
-    by_sign = [np.array([r.position for r in ramps if r.direction == s]) for s in (1.0, -1.0)]
-    return group_angles(max(by_sign, key=len))[0]

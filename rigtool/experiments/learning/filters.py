@@ -246,10 +246,8 @@ def convergence(learning: Learning, frequency: Array) -> Convergence:
     bound = np.full(len(left), np.nan)
     if learning.measured is not None:
         doubt = learning.measured.doubt(frequency)
-        bound = robustness * (left + learning.factor * _product(np.abs(inverse), doubt))
+        # zero where nothing is learned, for any doubt of the plant
+        gain, nothing = np.abs(inverse), np.zeros(len(left))
+        product = np.multiply(gain, doubt, out=nothing, where=gain > 0)
+        bound = robustness * (left + learning.factor * product)
     return Convergence(np.asarray(frequency, dtype=np.float64), robustness * left, bound)
-
-
-def _product(gain: Array, doubt: Array) -> Array:
-    """Return gain times doubt, zero where nothing is learned, for any doubt of the plant."""
-    return np.multiply(gain, doubt, out=np.zeros(len(gain)), where=gain > 0)

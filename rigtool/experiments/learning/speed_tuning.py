@@ -72,20 +72,14 @@ def tune(learned: Row, others: Sequence[Row]) -> Tuning:
     """
     wave = _orders(learned.mean)
     found: dict[float, tuple[float, ...]] = {learned.speed: (1.0, 0.0, 0.0, 0.0, 1.0, math.inf)}
-    for side in _outwards(learned.speed, others):
-        near = 0.0
-        for row in side:
-            found[row.speed] = _fit(wave, row, near)
-            near = found[row.speed][2]
+    near = {True: 0.0, False: 0.0}  # the shift before, at faster and at slower speeds
+    for row in sorted(others, key=lambda row: abs(row.speed - learned.speed)):
+        faster = row.speed > learned.speed
+        found[row.speed] = _fit(wave, row, near[faster])
+        near[faster] = found[row.speed][2]
     ordered = sorted(found.items())
     columns = np.array([values for _, values in ordered]).T
     return Tuning(np.array([speed for speed, _ in ordered]), *columns)
-
-
-def _outwards(start: float, rows: Sequence[Row]) -> tuple[list[Row], list[Row]]:
-    """Return the rows faster than `start`, and the slower ones, nearest first."""
-    ordered = sorted(rows, key=lambda row: abs(row.speed - start))
-    return [r for r in ordered if r.speed > start], [r for r in ordered if r.speed < start]
 
 
 def _orders(values: Array) -> Orders:

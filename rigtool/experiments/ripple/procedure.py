@@ -12,11 +12,11 @@ from itertools import zip_longest
 
 import numpy as np
 
-from rigtool.errors import InsufficientDataError, RunFileError, UsageError
+from rigtool.errors import InsufficientDataError, RunFileError
 from rigtool.experiments.between_set_points import unsampled_note
 from rigtool.experiments.controller_torque import require_stable_loop
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.procedure import Procedure, channels, record
+from rigtool.experiments.procedure import Procedure, channels, only_run, record
 from rigtool.experiments.ripple.distortion import (
     amplifier_distortion,
     distorted_orders,
@@ -140,10 +140,8 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
 
     Raises `UsageError` for more than one run, `RunFileError` for one without its recordings.
     """
-    if len(runs) > 1:
-        raise UsageError(f"{len(runs)} run files: fft-ripple takes one, with all its recordings")
+    run = only_run(runs, "fft-ripple", "recordings")
     require_stable_loop(recipe)
-    run = runs[0]
     speeds = sorted(run.recordings_named("speed_"), key=lambda r: r.condition("speed"))
     if not speeds:
         raise RunFileError(
@@ -154,7 +152,9 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     cycles = run.recordings_named("power_cycle_")
     recorded = [*speeds, *torques, *cycles]
     steady = [steady_samples(recording) for recording in recorded]
-    segment = _segment(steady[: len(speeds)])
+    # one length of Welch's segments for all speeds, for one frequency axis
+    shortest = min(map(len, steady[: len(speeds)]))
+    segment = min(MAX_SEGMENT, 2 ** int(math.log2(shortest / 2)))
     welches = [Welch(segment) for _ in speeds]
     found = [
         collected(recording, samples, recipe, welch)
@@ -336,11 +336,6 @@ def _heat_note(recorded: Sequence[Recording], heat: Sequence[Lowered]) -> str:
         f"winding's heat lowers the constant by another {100 * means[worst]:.2f} %, with a "
         f"standard uncertainty of {100 * heat[worst].u:.2f} %"
     )
-
-
-def _segment(steady: Sequence[range]) -> int:
-    """Return one length of Welch's segments for all speeds, for one frequency axis."""
-    return min(MAX_SEGMENT, 2 ** int(math.log2(min(map(len, steady)) / 2)))
 
 
 def _psd_table(

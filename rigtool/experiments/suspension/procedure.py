@@ -9,9 +9,9 @@ from functools import partial
 
 import numpy as np
 
-from rigtool.errors import RecipeError, UsageError
+from rigtool.errors import RecipeError
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.procedure import Procedure, channels, record
+from rigtool.experiments.procedure import Procedure, channels, only_run, record
 from rigtool.experiments.suspension.springs import (
     SpringCurve,
     eccentric_torque,
@@ -65,9 +65,8 @@ def analyse(runs: Sequence[Run], recipe: Recipe) -> Outcome:
 
     Raises `UsageError` for more than one run.
     """
-    if len(runs) > 1:
-        raise UsageError(f"{len(runs)} run files: suspension takes one, with all its forces")
-    springs, pulls = _described(recipe), runs[0].recordings_named("pull_")
+    run = only_run(runs, "suspension", "forces")
+    springs, pulls = _described(recipe), run.recordings_named("pull_")
     force = np.array([pull.condition("radial_force") for pull in pulls])
     deflection = np.array([pull.read("deflection").mean() for pull in pulls])
     curve = spring_curve(force, deflection)

@@ -136,12 +136,15 @@ def calibrate(
     def relative(u: float, dof: float | None = None) -> Quantity:
         return Quantity(1.0, "1", u, dof)
 
+    # orders that are multiples of the number of angles, beyond `turn`
+    few = 2 <= fit.angles < FEW_ANGLES
+    hidden = math.sqrt(max(HIDDEN_RIPPLE**2 - fit.turn**2, 0.0)) if few else 0.0
     common = {
         "arm length": Quantity(arm_length, "m", arm_length_u),
         "gauge calibration": relative(gauge_relative_u),
         "heat in the winding": relative(slopes.heating_u, slopes.heating_dof),
         "friction of the shaft": relative(slopes.friction_u, slopes.friction_dof),
-        "ripple that few angles hide": relative(_hidden(fit)),
+        "ripple that few angles hide": relative(hidden),
         "cogging that equal angles hide": relative(fit.alias.constant if fit.alias else 0.0),
         MODEL_OF_FRICTION: relative(PATH_U * slopes.friction_share**2),
         "gauge resolution": relative(slopes.resolution_u),
@@ -273,12 +276,6 @@ def _fit_temperature(slopes: Slopes) -> _Fit:
         single=math.hypot(float(np.median(slopes.u)) / value, slopes.resolution_u),
         angles=0 if unknown else len(group_angles(slopes.rotor_angle)[0]),
     )
-
-
-def _hidden(fit: _Fit) -> float:
-    """Return the relative u of orders that are multiples of the number of angles, beyond `turn`."""
-    few = 2 <= fit.angles < FEW_ANGLES
-    return math.sqrt(max(HIDDEN_RIPPLE**2 - fit.turn**2, 0.0)) if few else 0.0
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ from functools import partial
 
 from rigtool.report.figures import (  # noqa: F401  each adds its figures to PLOTS
     force,
-    headline,
     imports,
     instrument,
     learning,

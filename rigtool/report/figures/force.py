@@ -1,8 +1,9 @@
-"""Figures 58-63: force measured with the instrument or on the pulley [chapter 8]."""
+"""Figures 58-63: force measured with the instrument or on the pulley [chapter 8]; the headline."""
 
 from __future__ import annotations
 
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 
@@ -19,13 +20,56 @@ from rigtool.report.figures.axes import (
     full_cycle,
     thin,
 )
-from rigtool.report.figures.plots import plot
+from rigtool.report.figures.plots import HEADLINE, plot
+from rigtool.report.requirements import COVERAGE_FACTOR
+from rigtool.report.tables import UNCORRECTED_TABLE, correction_of
 from rigtool.runfile import Run, Table
 
 MAX_POINTS = 175
 """Points of each cycle where all cycles are drawn."""
 
 PROBABILITY_TICKS = (0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99)
+
+
+@plot(HEADLINE, "measure-force", "Measured against applied torque", "loads")
+def draw_headline(run: Run, loads: Table) -> style.Figure:
+    """Mean readings over applied torque, uncorrected and corrected, with k = 2 bars.
+
+    Below, the errors in percent; the band is the recipe's requirement.
+    """
+    correction = correction_of(run)
+    ways = {f"correction {correction}" if correction != "none" else "measured": loads}
+    if UNCORRECTED_TABLE in run.tables:
+        ways = {"without correction": run.table(UNCORRECTED_TABLE), **ways}
+    figure, (above, below) = style.panels(
+        2,
+        "applied torque at the output [mN m]",
+        ["measured [mN m]", "error [%]"],
+        1.5 * style.HEIGHT,
+        height_ratios=[3, 2],
+    )
+    required = None if run.recipe is None else run.recipe.requirements.force_error
+    if required is not None:
+        below.axhspan(-100 * required, 100 * required, color=style.BAND, zorder=0, label="required")
+    largest = 0.0
+    for colour, marker, (label, table) in zip(
+        (style.ORANGE, style.BLUE)[-len(ways) :], "so", ways.items(), strict=False
+    ):
+        applied = table["applied_torque"]
+        rows = (applied > 0) & np.isfinite(table["mean_torque"])
+        x, bar = MILLI * applied[rows], COVERAGE_FACTOR * table["mean_torque_u"][rows]
+        drawn: dict[str, Any] = {"fmt": marker, "color": colour}
+        name = f"{label}, k = {COVERAGE_FACTOR:g}"
+        style.points(above, x, MILLI * table["mean_torque"][rows], MILLI * bar, name, **drawn)
+        percent = 100 * bar / applied[rows]
+        style.points(below, x, table["error_percent"][rows], percent, "", **drawn)
+        largest = max(largest, float(x.max(initial=0.0)))
+    above.plot([0, largest], [0, largest], color=style.GREY, linewidth=0.8, label="equal")
+    below.axhline(0, color=style.GREY, linewidth=0.8)
+    style.legend_above(above, 4)
+    if required is not None:
+        below.legend(loc="best")
+    return figure
 
 
 @plot(58, "measure-force", "Feed-forward signal at the measuring speed", "feedforward")

@@ -21,6 +21,8 @@ from rigtool.runfile import Run, Table
 )
 def draw_hysteresis(run: Run, table: Table, loads: Table) -> style.Figure:
     """Loop of the motor's effort against the sensor's torque."""
+    from matplotlib import colormaps
+
     effort = table.columns["effort"]
     name = "current" if effort.unit == "A" else "torque"
     figure, axes = style.one_panel(
@@ -29,7 +31,8 @@ def draw_hysteresis(run: Run, table: Table, loads: Table) -> style.Figure:
     recordings = sorted(
         _recordings(table), key=lambda rows: abs(float(np.mean(table["reference"][rows])))
     )
-    for shade, rows in zip(_shades(len(recordings)), recordings, strict=True):
+    shades = [colormaps[style.COLOUR_MAP](value) for value in np.linspace(0, 0.9, len(recordings))]
+    for shade, rows in zip(shades, recordings, strict=True):
         axes.plot(MILLI * table["reference"][rows], effort.values[rows], color=shade, linewidth=0.5)
     return figure
 
@@ -75,9 +78,3 @@ def _recordings(table: Table) -> list[Mask]:
     """Return the rows of each recording."""
     number = table["recording"]
     return [number == own for own in np.unique(number)]
-
-
-def _shades(count: int) -> list[tuple[float, float, float, float]]:
-    from matplotlib import colormaps
-
-    return [colormaps[style.COLOUR_MAP](value) for value in np.linspace(0, 0.9, count)]

@@ -99,8 +99,8 @@ class Line:
         self.opened: float = time.monotonic() if beside is None else beside.opened
         self._baud_rate, self._frame = baud_rate, frame
         self._role = role
-        if beside is not None:
-            self._port = beside._open_beside(self)
+        if beside is not None and isinstance(beside._port, Replay):
+            self._port: Any = Replay(beside._port.path, role)
         else:
             self._port = open_port(port, baud_rate, frame, exclusive or None)
         self._buffer = bytearray()
@@ -160,11 +160,6 @@ class Line:
     def over(self) -> bool:
         """Whether a record that is played back has come to its end; never on a port."""
         return isinstance(self._port, Replay) and self._port.over
-
-    def _open_beside(self, line: Line) -> Any:
-        if isinstance(self._port, Replay):
-            return Replay(self._port.path, line._role)
-        return open_port(line.port, line._baud_rate, line._frame)
 
     # -- time
 

@@ -202,9 +202,11 @@ def _import_file(
     signals, raw, known, notes = understand(source, known, skip_bad)
     found, missing = unchanged_parts(source, raw, known)
     channels = _channels(signals, known)
+    several = [f"{schema.IMPORTED}_{number:03d}" for number in range(len(found))]
+    names = several if len(found) > 1 else [schema.IMPORTED]
     specs = [
         RecordingSpec(name, channels, part.conditions)
-        for name, part in zip(_names(len(found)), found, strict=True)
+        for name, part in zip(names, found, strict=True)
     ]
     notes = [*notes, *missing]
     with RunWriter(
@@ -220,11 +222,6 @@ def _import_file(
             writer.append(spec.name, {name: values[samples] for name, values in signals.items()})
         writer.finish(_results(len(raw.left_out)), {}, notes)
     return Imported(source, final, len(raw.line), len(raw.left_out), tuple(notes))
-
-
-def _names(count: int) -> list[str]:
-    """Return the names of the recordings of a file."""
-    return [schema.IMPORTED] if count == 1 else [f"{schema.IMPORTED}_{n:03d}" for n in range(count)]
 
 
 def understand(

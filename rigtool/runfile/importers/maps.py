@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rigtool.errors import RunFileError
-from rigtool.recipe.mapping import Mapping, Signal
+from rigtool.recipe.mapping import Mapping
 from rigtool.recipe.units import UNITS, ZEROS
 from rigtool.runfile.importers.arrays import read_arrays, read_vector
 from rigtool.runfile.importers.convert import stem
@@ -58,7 +58,10 @@ def _around(source: Path, mapping: Mapping) -> tuple[Array, Array, int]:
     count = len(values)
     angle = np.arange(count) * (2 * math.pi / count)
     if known.angle is not None:
-        angle = np.mod(_angle_of(raw[known.angle.column], known.angle), 2 * math.pi)
+        counts = known.angle.counts_per_turn
+        factor = UNITS[known.angle.unit][0] if counts is None else 2 * math.pi / counts
+        angle = known.angle.scale * raw[known.angle.column] + known.angle.offset
+        angle = np.mod(angle * (known.angle.sign * factor), 2 * math.pi)
     sampled = np.isfinite(values) & np.isfinite(angle)
     if known.missing is not None:
         sampled &= values != known.missing
@@ -69,10 +72,3 @@ def _around(source: Path, mapping: Mapping) -> tuple[Array, Array, int]:
     position, place = np.unique(angle[sampled], return_inverse=True)
     means: Array = np.bincount(place, values[sampled]) / np.bincount(place)
     return position, means, count
-
-
-def _angle_of(values: Array, signal: Signal) -> Array:
-    """Return raw angles (n,) in rad."""
-    counts = signal.counts_per_turn
-    factor = UNITS[signal.unit][0] if counts is None else 2 * math.pi / counts
-    return (signal.scale * values + signal.offset) * (signal.sign * factor)

@@ -23,7 +23,6 @@ from rigtool.experiments.learning.filters import Learning
 from rigtool.experiments.learning.implementations import a_one_speed as one_speed
 from rigtool.experiments.learning.implementations import bare_motor
 from rigtool.experiments.learning.implementations import c_limited_angle as limited_angle
-from rigtool.experiments.learning.implementations import signals as common
 from rigtool.experiments.learning.procedure_design import design_filters
 from rigtool.experiments.learning.rows import Row
 from rigtool.experiments.learning.stored_table import (
@@ -33,7 +32,7 @@ from rigtool.experiments.learning.stored_table import (
     require_rig,
 )
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.procedure import Procedure, record
+from rigtool.experiments.procedure import Procedure, only_run, record
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.numerics.arrays import Array
@@ -139,7 +138,7 @@ def analyse(
     Raises `InsufficientDataError` where they cannot be compared.
     """
     require_rig(tables, recipe)
-    run, learned = common.only_run(runs), learned_table_from(tables)
+    run, learned = only_run(runs, "ilc-learn", "speeds"), learned_table_from(tables)
     constant = learned.constant or torque_per_ampere(kt).value  # currents are what is compared
     learning = _filters(recipe, plant, tables)
     recorded = run.recordings_named("check_") or run.recordings_of("learn")

@@ -33,7 +33,11 @@ def outcome_of(
     results = _results(found, counts, dof)
     tables = {"table_health": _by_speed(rows, position, learned)}
     tables["health_waveforms"] = _waveforms(rows, position, learned)
-    return Outcome(results, tables, (table_verdict(found, counts), *_remarks(found)))
+    notes = [table_verdict(found, counts)]
+    notes += ["the table was off while recording; positive shift: the pattern is at larger angles"]
+    if found.friction is None:
+        notes.append("one direction alone: friction and offset cannot be separated")
+    return Outcome(results, tables, tuple(notes))
 
 
 def _results(found: TableHealth, counts: int, dof: float) -> dict[str, Quantity]:
@@ -119,13 +123,6 @@ def _means(found: TableHealth) -> list[str]:
         what = "both directions are" if found.friction is not None else "friction, or an offset, is"
         changes.append(f"{what} off by {change:+.2g} +- {u:.1g} mN m")
     return changes
-
-
-def _remarks(found: TableHealth) -> list[str]:
-    remarks = ["the table was off while recording; positive shift: the pattern is at larger angles"]
-    if found.friction is None:
-        remarks.append("one direction alone: friction and offset cannot be separated")
-    return remarks
 
 
 def _by_speed(rows: Sequence[Row], position: Array, learned: LearnedTable) -> Table:

@@ -72,8 +72,9 @@ class AllSpeeds(BareMotor[TaughtSpeeds]):
         return taught.first
 
     def without_tuning(self, taught: TaughtSpeeds) -> LookupTable:
-        """Return the table without its low speeds."""
-        return without_low_speeds(taught.table)
+        """Return the table with lowest rows that fade in proportion to speed [Fig. 49]."""
+        low_speed = np.array([0.0, taught.table.low_speed[-1]])
+        return replace(taught.table, low_speed=low_speed, amplitude=np.array([0.0, 1.0]))
 
     def learned_speeds(self, taught: TaughtSpeeds) -> Collection[float]:
         """Return all speeds of the table."""
@@ -91,12 +92,6 @@ class AllSpeeds(BareMotor[TaughtSpeeds]):
             listed = ", ".join(f"{speed:.3g}" for speed in zero)
             notes.append(f"nothing exceeds the noise at {listed} rev/s: the table is zero there")
         return notes
-
-
-def without_low_speeds(table: LookupTable) -> LookupTable:
-    """Return a table whose lowest rows fade in proportion to speed [Fig. 49]."""
-    lowest = table.low_speed[-1]
-    return replace(table, low_speed=np.array([0.0, lowest]), amplitude=np.array([0.0, 1.0]))
 
 
 def _amplitudes(low: Sequence[Row], rows: Sequence[Row]) -> Amplitudes:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 from rigtool import errors
-from rigtool.errors import RunFileError, UsageError
+from rigtool.errors import RunFileError
 from rigtool.experiments.controller_torque import (
     SMALLER_FORCE,
     LoopSignals,
@@ -19,7 +18,7 @@ from rigtool.experiments.procedure import record
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig, Task
-from rigtool.runfile import Recording, Run, RunWriter
+from rigtool.runfile import Recording, RunWriter
 
 SATURATION_REMEDY = "lower the speed, or raise ilc_learn.turn_angle"
 """Remedy where the controller saturates during learning."""
@@ -55,10 +54,3 @@ def require_friction_fed(
             + (" without --friction" if not fed else "")
             + ": give the --friction that the moves were recorded with"
         )
-
-
-def only_run(runs: Sequence[Run]) -> Run:
-    """Return the one run of signals that ilc-learn takes; `UsageError` for more."""
-    if len(runs) > 1:
-        raise UsageError(f"{len(runs)} run files: ilc-learn takes one, with all its speeds")
-    return runs[0]

@@ -22,11 +22,12 @@ from rigtool.experiments.learning.implementations.runs import (
     recorded_runs,
     runs_at_most,
 )
-from rigtool.experiments.learning.implementations.signals import only_run, record_loop
+from rigtool.experiments.learning.implementations.signals import record_loop
 from rigtool.experiments.learning.procedure_design import FilterDesign, design_filters
 from rigtool.experiments.learning.rows import Amplitudes
 from rigtool.experiments.learning.stored_table import feedforward, friction_results
 from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.procedure import only_run
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
@@ -172,7 +173,7 @@ class Implementation(ABC, Generic[T]):
         Raises `UsageError` for several runs, `InsufficientDataError` where the recordings do not
         carry a result.
         """
-        return cls(recipe, **inputs)._analyse(only_run(runs))
+        return cls(recipe, **inputs)._analyse(only_run(runs, "ilc-learn", "speeds"))
 
     def _measure(self, rig: Rig, recorder: RunWriter) -> None:
         kinds = self.kinds(self.recipe)

@@ -175,7 +175,7 @@ class MotionTicks:
             signal = float(feedforward.signal[step]) / constant
         rate, added = float(speed[0]), model + table + signal
         if self._controller is not None:
-            error = float(self._motion_at(last.time)[0][0]) - last.position
+            error = self._wanted(last.time) - last.position
             added += self._controller.torque(error) / constant
             limit = min(self._recipe.rig.current_limit, self._limits.current)
             added = min(max(added, -limit), limit)
@@ -183,25 +183,21 @@ class MotionTicks:
             limit = self._limits.speed
             # The set point at the time of the last sample: a sample that is older
             # than the set point would show a distance that grows with speed and delay.
-            rate += self._gain * (float(self._motion_at(last.time)[0][0]) - last.position)
+            rate += self._gain * (self._wanted(last.time) - last.position)
             rate = min(max(rate, -limit), limit)
         sent = SetPoint(float(position[0]), rate, added)
         return sent, (model, table, signal)
 
-    def _wanted(self, sample: Sample) -> float:
-        """Return the set point of position at the time of a sample, rad.
-
-        The set point is a little older than the sample.
-        """
-        if self._open_loop:
-            return sample.position
-        return float(self._motion_at(sample.time)[0][0])
+    def _wanted(self, moment: float) -> float:
+        """Return the set point of position at a time of the line, rad."""
+        return float(self._motion_at(moment)[0][0])
 
     def _note(self, sample: Sample, added: Sequence[float], late: bool, gap: float) -> None:
         counts = self._recipe.rig.encoder_counts / (2 * math.pi)
         row = {
             "time": sample.time,
-            "position_setpoint": self._wanted(sample),
+            # at the time of the sample: the set point that was sent is a little older
+            "position_setpoint": sample.position if self._open_loop else self._wanted(sample.time),
             "encoder": sample.position * counts,
             "current_setpoint": sample.current_setpoint,
             "current": sample.current,

@@ -179,13 +179,14 @@ class LineGauge:
             return np.empty(0)
         near, last = HOLDING_TIME[self._channel], float(moments[-1])
         with self._arrived:
-            self._wait_for(lambda: self._knows(last), last + READING_WAIT)
+            waited = last + READING_WAIT
+            self._wait_for(lambda: self._covers(last) or self._heard >= waited, waited)
             first = bisect_left(self._times, float(moments[0]) - near)
             some = slice(max(0, first - USUAL_DIFFERENCES), self._end(last))
             times, values = np.array(self._times[some]), np.array(self._values[some])
             flag = self._flagged[some.stop - 1] if some.stop else ""
             covered = self._covers(last)
-            lost = not covered and self._lost <= last + READING_WAIT
+            lost = not covered and self._lost <= waited
         alone = spikes(values, self._reader.resolution, self._reader.finest)
         self._spikes += int(np.count_nonzero(alone & (times > self._judged)))
         if len(times) > 1:
@@ -215,9 +216,6 @@ class LineGauge:
             self._arrived.wait_for(
                 lambda: known() or self._finished, min(max(0.0, left), READING_WAIT)
             )
-
-    def _knows(self, moment: float) -> bool:
-        return self._covers(moment) or self._heard >= moment + READING_WAIT
 
     def _covers(self, moment: float) -> bool:
         """Return whether two readings follow soon: the second shows if the first is a spike."""

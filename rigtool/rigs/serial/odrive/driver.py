@@ -327,7 +327,8 @@ class ODrive:
                 if not agrees(text, value):
                     raise DamagedReply(f"{name} is {text} after {commands[-1]!r}")
             measured = [*replies[:3], *replies[3 + len(echoes) : -1]]
-            return now, _numbers(measured), _state(replies[-1:])
+            numbers = [number(word) for reply in measured for word in reply.split()]
+            return now, numbers, _state(replies[-1:])
 
         start, retries = self._line.now(), self._line.counts.retries
         end, numbers, state = self._protocol.ask(questions, understand, commands=commands)
@@ -338,7 +339,9 @@ class ODrive:
                 f"axis {self._axis} is in state {state} instead of its closed loop "
                 f"({self._describe_errors()}): watchdog, reset or a fault"
             )
-        self._last = self._sample(self._moment(end, len(questions)), numbers)
+        # position and current were measured between the first two answers
+        part = 0.5 if self._protocol.at_once else 1 - 1 / len(questions)
+        self._last = self._sample(end - self._trip * part, numbers)
         return self._last
 
     def _sample(self, moment: float, numbers: Sequence[float]) -> Sample:
@@ -355,10 +358,6 @@ class ODrive:
             self._temperature,
         )
 
-    def _moment(self, end: float, questions: int) -> float:
-        """Return when position and current were measured, s: between the first two answers."""
-        return end - self._trip * (0.5 if self._protocol.at_once else 1 - 1 / questions)
-
     # -- names
 
     def _name(self, name: str) -> str:
@@ -372,10 +371,6 @@ def _state(replies: list[str]) -> int:
     if not replies[0].isdigit():
         raise DamagedReply(f"{replies[0]!r} is no state: answers are out of step")
     return int(replies[0])
-
-
-def _numbers(replies: list[str]) -> list[float]:
-    return [number(word) for reply in replies for word in reply.split()]
 
 
 def probe(line: Line) -> str | None:

@@ -267,13 +267,9 @@ class OdriveProtocol:
         if rest or len(lines) > len(questions):
             raise DamagedReply("more replies came than questions were sent")
         for question, text in zip(questions, texts, strict=True):
-            _require_form(question, text)
+            if len(text.split()) != (2 if question.startswith("f ") else 1):
+                raise DamagedReply(f"{text!r} is no reply to {question!r}")
         return texts
-
-
-def _require_form(question: str, text: str) -> None:
-    if len(text.split()) != (2 if question.startswith("f ") else 1):
-        raise DamagedReply(f"{text!r} is no reply to {question!r}")
 
 
 def identify(line: Line, retries: int | None = None) -> Identity:

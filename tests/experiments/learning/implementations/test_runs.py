@@ -20,6 +20,7 @@ from rigtool.experiments.learning.implementations.runs import (
     runs_at_most,
 )
 from rigtool.experiments.learning.learned_table import COULOMB, VISCOUS
+from rigtool.experiments.procedure import only_run
 from rigtool.quantity import Quantity
 from rigtool.recipe import load_recipe
 from rigtool.rigs import Load
@@ -106,8 +107,8 @@ def test_without_friction_none_was_fed_forward():
     signals.require_friction_fed("learn_000", 1e-10, 3.0, {})
     with pytest.raises(RunFileError, match="0 mN m are expected without --friction"):
         signals.require_friction_fed("learn_000", 1e-6, 3.0, {})
-    with pytest.raises(UsageError, match="2 run files"):
-        signals.only_run([1, 2])
+    with pytest.raises(UsageError, match="2 run files: ilc-learn takes one, with all its speeds"):
+        only_run([1, 2], "ilc-learn", "speeds")
 
 
 @pytest.mark.parametrize(("part", "refused"), [(0.51, False), (0.49, True)])
