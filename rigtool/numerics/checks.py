@@ -54,7 +54,7 @@ def rising_steps(time: Array, first: int = 0) -> Array:
     if steps.size and steps.min() <= 0:
         bad = int(np.argmax(steps <= 0))
         raise InsufficientDataError(
-            f"time does not rise at sample {first + bad + 1} ({time[bad + 1]} s after "
-            f"{time[bad]} s): recordings must be in the order of the bench clock"
+            f"time does not rise at sample {first + bad + 1} ({time[bad + 1]:.10g} s after "
+            f"{time[bad]:.10g} s): recordings must be in the order of the bench clock"
         )
     return steps

@@ -151,13 +151,13 @@ def _strokes(record: Record, angle_ratio: float, torque_factor: float) -> list[_
 
 
 def scatter_ratios(records: Sequence[Record]) -> list[float]:
-    """Return the scatter of each record's cycles over that of most of them.
+    """Return the scatter of each record's cycles over that of most of those that have any.
 
     Above `MAX_SCATTER_RATIO` friction does not explain it: where the loop lets a load swing, no
     cycle is like another, and a model that is not linear does not hold for their mean.
     """
     scatters = [record.scatter for record in records]
-    usual = max(float(np.median(scatters)), SMALLEST_SCATTER)
+    usual = max(float(np.median([s for s in scatters if s] or [0.0])), SMALLEST_SCATTER)
     return [scatter / usual for scatter in scatters]
 
 

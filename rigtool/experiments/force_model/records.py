@@ -90,8 +90,9 @@ class Record:
 
     @property
     def scatter(self) -> float:
-        """Standard deviation of the cycles' torque, rms over all that count, N m; 0 of one."""
-        if self.cycles < 2:
+        """Standard deviation of the cycles' torque, rms over all rows that count, N m; 0 of one
+        cycle, and where no row counts."""
+        if self.cycles < 2 or not self.used.any():
             return 0.0
         return float(np.sqrt(self.torques[:, self.used].var(axis=0, ddof=1).mean()))
 

@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from rigtool.errors import InsufficientDataError, RunFileError, UsageError
+from rigtool.errors import InsufficientDataError, RecipeError, RunFileError, UsageError
 from rigtool.experiments.force_filter.motion_states import CREEP_SPEED_RATIO, Reach, State
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.stored import model_from
@@ -69,7 +69,8 @@ def _recordings(recipe: Recipe, *, seconds: float, observed: bool) -> tuple[Reco
             f"{seconds:g} s cannot be recorded: at most measure_force.motion.time_max = "
             f"{own.time_max:g} s, and more than 0"
         )
-    require_interval(own.record_every * recipe.rig.sample_time, "measure_force.motion")
+    interval = own.record_every * recipe.rig.sample_time
+    require_interval(interval, "measure_force.motion", RecipeError)
     names = NEEDED_CHANNELS if observed else (*NEEDED_CHANNELS, *OF_THE_LOOP)
     if recipe.rig.source == "virtual":
         names = (*names, REFERENCE_CHANNEL)

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from rigtool.errors import InsufficientDataError
+from rigtool.errors import InsufficientDataError, RigtoolError
 from rigtool.experiments.controller_torque import NO_ANSWER, loop_answer
 from rigtool.experiments.force_filter.estimate import PIECE_STEPS
 from rigtool.experiments.force_filter.motion_states import Reach
@@ -47,10 +47,12 @@ AS_ASKED = 1e-6
 """Relative difference within which the interval between samples is that of the recipe."""
 
 
-def require_interval(seconds: float, source: str) -> None:
-    """Raise `InsufficientDataError` where samples of a `source` are too far apart."""
+def require_interval(
+    seconds: float, source: str, error: type[RigtoolError] = InsufficientDataError
+) -> None:
+    """Raise an `error` where samples of a `source` are too far apart."""
     if seconds > LONGEST_INTERVAL * (1 + AS_ASKED):
-        raise InsufficientDataError(
+        raise error(
             f"{source}: a sample each {seconds * 1e3:.3g} ms does not show how friction changes in "
             f"a reversal, {LONGEST_INTERVAL * 1e3:g} ms at most do: lower "
             "measure_force.motion.record_every"

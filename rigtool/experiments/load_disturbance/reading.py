@@ -28,7 +28,7 @@ import numpy as np
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Prediction, RecordState, functions
-from rigtool.experiments.force_model.records import Record, lowpassed_rows
+from rigtool.experiments.force_model.records import SLIDING_COUNT_RATE, Record, lowpassed_rows
 from rigtool.experiments.force_model.sliding_problem import (
     ROWS_PER_INDEPENDENT_ROW,
     measured,
@@ -49,6 +49,9 @@ HIGHEST_LOAD, SCANNED_LOADS = 3.0, 41
 
 CONVERGED_CHANGE = 1e-5
 """Change at which a load is found, in parts of the largest learned one."""
+
+OWN_LEVELS = 3
+"""Friction levels that each recording has of its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,9 +175,10 @@ def read_loads(
     found: list[_Found | InsufficientDataError] = []
     for pair in pairs:
         key = id(pair.unloaded)
-        if key not in zeros:
-            zeros[key] = _zero(model, pair)
         try:
+            _require_sliding(pair.loaded)
+            if key not in zeros:
+                zeros[key] = _zero(model, pair)
             found.append(_find(model, pair, zeros[key], largest, angle, bandwidth_hz))
         except InsufficientDataError as error:
             found.append(error)
@@ -203,6 +207,15 @@ def _stated(found: _Found, us: Iterator[tuple[float, float]]) -> LoadReading:
     return LoadReading(stated, scatter_u, found.cycles, found.at_angle, found.another)
 
 
+def _require_sliding(record: Record) -> None:
+    """Raise `InsufficientDataError` where a load and `OWN_LEVELS` explain any torque."""
+    if (rows := int(record.used.sum())) <= 1 + OWN_LEVELS:
+        raise InsufficientDataError(
+            f"the rotor slides evenly in {rows} rows of a stroke, more than {1 + OWN_LEVELS} are "
+            f"needed, each of {SLIDING_COUNT_RATE:g} counts of the encoder a second: move faster"
+        )
+
+
 def _zero(model: LearnedModel, pair: LoadedPair) -> _Zero:
     """Return what the model leaves without load, at the rows of the pair."""
     count, used = pair.loaded.count, pair.loaded.used
@@ -220,7 +233,7 @@ def _scattered(record: Record, at: Record, fitted: Array) -> float:
 
 
 def _own(state: RecordState) -> Array:
-    """Return the friction levels that each recording has of its own (3, rows)."""
+    """Return the friction levels that each recording has of its own (OWN_LEVELS, rows)."""
     d, a = state.housing, state.record.angle / state.known.angle_ratio
     return state.record.rows(np.stack([d, d * np.sin(a), d * np.cos(a)]))
 

@@ -150,6 +150,12 @@ def test_scatter_is_compared_with_that_of_most_records():
     assert scatter_ratios(still) == [0.0, 0.0]
 
 
+def test_motions_of_which_no_row_counts_have_no_scatter():
+    """Where most motions are so slow, that of the others is the usual one."""
+    unused = replace(record(drawn()), trusted=np.zeros(2000, dtype=bool))
+    assert scatter_ratios([unused, record(drawn()), unused, unused]) == [0.0, 1.0, 0.0, 0.0]
+
+
 @pytest.mark.parametrize("hertz", [0.75, 3.0])
 def test_cycles_differ_most_at_the_frequency_of_a_swing(hertz):
     time = np.arange(6 * COUNT) / ROWS_HZ

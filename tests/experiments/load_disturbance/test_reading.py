@@ -106,6 +106,16 @@ def test_a_load_left_out_of_the_learning_is_read(sliding, unloaded):
     assert less.covariance[own, own] > sliding.learned.covariance[own, own]
 
 
+def test_a_load_under_which_the_rotor_does_not_slide_is_not_read(sliding, unloaded):
+    pair = compared(unloaded, 0.02)
+    held = replace(pair.loaded, trusted=np.zeros_like(pair.loaded.trusted))
+    pairs = [replace(pair, loaded=held), pair]
+    slow, found = read_loads(sliding.learned, pairs, LARGEST, ANGLE, BANDWIDTH)
+    assert isinstance(slow, InsufficientDataError)
+    assert "slides evenly in 0 rows of a stroke" in str(slow)
+    assert found.moment == pytest.approx(0.02, rel=0.01)
+
+
 def of_another_power_up(found):
     (line,) = [one for one in found.quantity.budget if one.name == "ripple of another power-up"]
     return line.u

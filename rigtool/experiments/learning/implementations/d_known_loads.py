@@ -25,7 +25,7 @@ from rigtool.experiments.force_model.procedure_learning import (
     exploring,
     learn_force,
 )
-from rigtool.experiments.force_model.records import Record
+from rigtool.experiments.force_model.records import SLIDING_COUNT_RATE, Record
 from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
 from rigtool.experiments.learning.implementations.d_saturated import (
     FEWEST_LOADS,
@@ -190,7 +190,10 @@ class _KnownLoads:
 def _known_loads(
     run: Run, recorded: Sequence[Recording], recipe: Recipe, strokes: dict[str, Record]
 ) -> _KnownLoads:
-    """Return each load beside the same motion without."""
+    """Return each load beside the same motion without, where the rotor slides in both.
+
+    Raises `InsufficientDataError` where it slides under no load.
+    """
     by_speed: dict[float, list[Recording]] = {}
     for recording in recorded:
         by_speed.setdefault(recording.condition("speed"), []).append(recording)
@@ -204,7 +207,14 @@ def _known_loads(
             )
         for r in loaded:
             pair = LoadedPair(strokes[r.name], unloaded, arm)
-            found.append((pair, speed, r.condition("force") * arm))
+            if all(record.used.any() for record in (pair.loaded, *unloaded)):
+                found.append((pair, speed, r.condition("force") * arm))
+    if not found:
+        raise InsufficientDataError(
+            f"{run.path}: under no known load does the rotor slide evenly, by "
+            f"{SLIDING_COUNT_RATE:g} counts of the encoder a second or more: learn at higher "
+            "ilc_learn.loads.speeds_rev_per_s"
+        )
     pairs, speeds, moments = zip(*found, strict=True)
     return _KnownLoads(list(pairs), np.array(speeds), np.array(moments))
 

@@ -54,6 +54,10 @@ def recording(name, speed, force, temperature=20.0):
     )
 
 
+def sliding(name, slides=True):
+    return SimpleNamespace(name=name, used=np.array([slides, False]))
+
+
 def run_of(recordings):
     return SimpleNamespace(path="d.h5", recordings_named=lambda prefix: recordings)
 
@@ -67,8 +71,9 @@ def test_loads_are_paired_with_the_same_motion_without():
         recording("e", 2.0, 0.0),
         recording("f", 2.0, 3.0),
     ]
-    found = _known_loads(run_of(made), made, RIG, {each.name: each.name for each in made})
-    assert [(pair.loaded, pair.unloaded) for pair in found.pairs] == [
+    own = {each.name: sliding(each.name) for each in made}
+    found = _known_loads(run_of(made), made, RIG, own)
+    assert [(p.loaded.name, tuple(r.name for r in p.unloaded)) for p in found.pairs] == [
         ("b", ("a", "e")),
         ("f", ("a", "e")),
         ("d", ("c",)),
@@ -78,6 +83,17 @@ def test_loads_are_paired_with_the_same_motion_without():
     np.testing.assert_allclose(found.moment, [ARM, 3 * ARM, 3 * ARM], rtol=1e-12)
     with pytest.raises(RunFileError, match="nothing was recorded without load at 2 rad/s"):
         _known_loads(run_of([]), made[1:2], RIG, {"b": "b"})
+
+
+def test_strokes_in_which_the_rotor_does_not_slide_are_no_pairs():
+    """As with an encoder of few counts: nothing is learned of the slowest strokes."""
+    made = [recording(f"{speed}, {n}", speed, float(n)) for speed in (2.0, 5.0) for n in range(3)]
+    slow = {each.name: sliding(each.name, each.condition("speed") > 2.0) for each in made}
+    found = _known_loads(run_of(made), made, RIG, slow)
+    assert [pair.loaded.name for pair in found.pairs] == ["5.0, 1", "5.0, 2"]
+    np.testing.assert_array_equal(found.speed, [5.0, 5.0])
+    with pytest.raises(InsufficientDataError, match=r"slide evenly, by 160 counts.*higher"):
+        _known_loads(run_of(made), made, RIG, {name: sliding(name, False) for name in slow})
 
 
 def test_the_temperature_is_the_mean_over_all_strokes():
