@@ -30,6 +30,7 @@ from rigtool.experiments.torque_constant.staircases.fit import (
     fit_staircases,
 )
 from rigtool.experiments.torque_constant.staircases.friction_change import either, friction_changes
+from rigtool.experiments.torque_constant.staircases.friction_of_each import friction_of_each
 from rigtool.experiments.torque_constant.staircases.least_squares import without_known
 from rigtool.experiments.torque_constant.staircases.mean_staircases import MeanStaircases
 from rigtool.experiments.torque_constant.staircases.model import (
@@ -228,7 +229,7 @@ def test_scatter_of_a_change_with_temperature_is_that_of_noise_on_the_plateaus()
     rise = stairs.temperature.mean(axis=1) - stairs.temperature.mean()
     trend = rise / (rise @ rise)
     common = Common(30e-3 * bench.stiffness, 1.0, None, bench.time_constant)
-    friction = MeanStaircases(stairs, bench.coefficient, trend).friction_of_each(common)
+    friction = friction_of_each(MeanStaircases(stairs, bench.coefficient, trend), common)
     solution = _solve(
         stairs, winding(stairs, bench.time_constant), friction, bench.coefficient, rise
     )
