@@ -2,6 +2,7 @@
 
 import json
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from rigtool.errors import InsufficientDataError, RecipeError
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
 from rigtool.experiments.torque_constant import procedure as calibrate_kt
+from rigtool.experiments.torque_constant import temperature_fit
 from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
 from rigtool.experiments.torque_per_ampere import torque_per_ampere, torque_per_ampere_at
 from rigtool.recipe import load_recipe
@@ -208,6 +210,23 @@ def test_instruments_that_are_off_are_in_the_budget(tmp_path, draw):
         assert used.u / used.value < math.hypot(stated["arm"], 8e-3)
 
 
+@pytest.fixture
+def fitted_once(monkeypatch):
+    """Fit staircases of the same plateaus once: what is stated of instruments does not move them.
+
+    Return the fits by their plateaus.
+    """
+    fit, fits = temperature_fit.fit_staircases, {}
+
+    def fitted(plateaus):
+        key = pickle.dumps(plateaus)
+        fits[key] = fits.get(key) or fit(plateaus)
+        return fits[key]
+
+    monkeypatch.setattr(temperature_fit, "fit_staircases", fitted)
+    return fits
+
+
 @pytest.mark.parametrize(
     ("line", "setting", "stated", "off"),
     [
@@ -224,7 +243,7 @@ def test_instruments_that_are_off_are_in_the_budget(tmp_path, draw):
     ],
 )
 def test_an_interval_holds_with_the_line_of_what_is_off_and_not_without(
-    tmp_path, line, setting, stated, off
+    tmp_path, fitted_once, line, setting, stated, off
 ):
     measured, again = tmp_path / "kt.h5", tmp_path / "again.h5"
     run(CALIBRATE_KT, RECIPE, measured, *SHORT, f"rig.{setting}={stated}", f"virtual.{off}")
@@ -238,6 +257,7 @@ def test_an_interval_holds_with_the_line_of_what_is_off_and_not_without(
     assert float(row[-2]) > 50
     assert row[-3] == "inf"
     assert no_row is None
+    assert len(fitted_once) == 1
 
 
 def budget_of(path, result, line):

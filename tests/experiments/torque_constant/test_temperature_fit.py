@@ -761,10 +761,10 @@ def test_resolution_of_the_gauge_is_seen_in_its_readings_and_stated():
     assert_allclose(plateaus.resolution, 5e-3 * 0.54, rtol=1e-6)
     found = calibrate(plateaus, arm_length=0.54, **ARM)
     assert abs(found.mean.value / (45.8e-3 * (1 - 1.16e-3 * 7.5)) - 1) < 3 * found.mean.u / 45e-3
-    fine = analyse(bench, signals).components
-    assert found.components["gauge resolution"] > 20 * fine["gauge resolution"]
+    fine = analyse(bench, signals)
+    assert found.components["gauge resolution"] > 20 * fine.components["gauge resolution"]
     own = found.slopes.rounding - found.slopes.rounding.mean(axis=1, keepdims=True)
-    shift = fit_staircases(plateaus).slope - analyse(bench, signals).slopes.slope
+    shift = found.slopes.slope - fine.slopes.slope
     assert_allclose(np.sqrt(np.mean(own**2)), np.std(shift), rtol=0.4)
     stated = plateaus_of_set_point(
         **signals, arm_length=0.54, settle_time=0.08, gauge_resolution=5e-3
