@@ -162,13 +162,13 @@ def test_the_motor_is_measured_without_instrument(measured):
 
 
 def test_a_coarse_gauge_is_in_the_budget_and_a_coarser_one_refused(tmp_path):
-    coarse = "virtual.sensors.force_resolution=0.01"
+    coarse = "virtual.sensors.force_resolution=0.008"
     found = run(CALIBRATE_KT, RECIPE, tmp_path / "kt.h5", *SHORT, coarse)
     assert "gauge resolution" in found.notes[0]
     constant = found.results["torque_constant"]
     assert abs(constant.value - 45.8e-3) < 3 * constant.u
     with pytest.raises(InsufficientDataError, match=r"gauge reads in steps of 54 mN m"):
-        run(CALIBRATE_KT, RECIPE, tmp_path / "no.h5", *SHORT, coarse.replace("0.01", "0.1"))
+        run(CALIBRATE_KT, RECIPE, tmp_path / "no.h5", *SHORT, coarse.replace("0.008", "0.1"))
 
 
 @pytest.mark.parametrize("draw", first_of([1, 3]))
