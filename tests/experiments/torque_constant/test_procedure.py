@@ -2,7 +2,6 @@
 
 import json
 import math
-import pickle
 
 import numpy as np
 import pytest
@@ -21,6 +20,7 @@ from rigtool.recipe import load_recipe
 from rigtool.recipe.commands import CalibrateKt
 from rigtool.runfile import open_run
 from tests.experiments.virtual_runs import RECIPE, run
+from tests.fitted_once import fit_once
 from tests.thorough import first_of
 from tests.unchanged import require_unchanged
 
@@ -210,23 +210,6 @@ def test_instruments_that_are_off_are_in_the_budget(tmp_path, draw):
         assert used.u / used.value < math.hypot(stated["arm"], 8e-3)
 
 
-@pytest.fixture
-def fitted_once(monkeypatch):
-    """Fit staircases of the same plateaus once: what is stated of instruments does not move them.
-
-    Return the fits by their plateaus.
-    """
-    fit, fits = temperature_fit.fit_staircases, {}
-
-    def fitted(plateaus):
-        key = pickle.dumps(plateaus)
-        fits[key] = fits.get(key) or fit(plateaus)
-        return fits[key]
-
-    monkeypatch.setattr(temperature_fit, "fit_staircases", fitted)
-    return fits
-
-
 @pytest.mark.parametrize(
     ("line", "setting", "stated", "off"),
     [
@@ -243,8 +226,10 @@ def fitted_once(monkeypatch):
     ],
 )
 def test_an_interval_holds_with_the_line_of_what_is_off_and_not_without(
-    tmp_path, fitted_once, line, setting, stated, off
+    tmp_path, monkeypatch, line, setting, stated, off
 ):
+    # What is stated of instruments moves no slope.
+    monkeypatch.setattr(temperature_fit, "fit_staircases", fit_once)
     measured, again = tmp_path / "kt.h5", tmp_path / "again.h5"
     run(CALIBRATE_KT, RECIPE, measured, *SHORT, f"rig.{setting}={stated}", f"virtual.{off}")
     run(CALIBRATE_KT, measured, again, f"rig.{setting}=0")
@@ -257,7 +242,6 @@ def test_an_interval_holds_with_the_line_of_what_is_off_and_not_without(
     assert float(row[-2]) > 50
     assert row[-3] == "inf"
     assert no_row is None
-    assert len(fitted_once) == 1
 
 
 def budget_of(path, result, line):
