@@ -171,7 +171,7 @@ def with_torque(
     def fit(tau: float, c: float, steady: bool = False) -> tuple[LeastSquares, Array]:
         warm = winding(stairs, tau)
         current, lost, own, shared = columns_of(stairs, warm, friction, c, rise, steady=steady)
-        found = LeastSquares(stairs.torque, [current, *own], [*shared, current * lost])
+        found = LeastSquares(stairs.torque, [current, *own], [*shared, stairs.current * lost])
         return found, mean_of(warm[1], stairs.weight)
 
     def changed(tau: float, c: float) -> float:
