@@ -108,7 +108,8 @@ def peak(
 
 
 def require_no_fall(line: DirectionFit) -> None:
-    """Raise where friction clearly falls with the speed: viscous friction does not do that.
+    """Raise `InsufficientDataError` where friction clearly falls with the speed, which viscous
+    friction does not.
 
     Torque along the motion, which rises, has a reason of its own.
     """

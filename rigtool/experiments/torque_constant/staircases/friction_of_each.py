@@ -1,4 +1,7 @@
-"""Friction of each staircase: along the motion of the arm under its own torque."""
+"""Friction of each staircase, along the motion of the arm under its own torque.
+
+Its state is z = a + b z0 in (1) of `rigtool.experiments.torque_constant.staircases.model`.
+"""
 
 from __future__ import annotations
 
