@@ -194,11 +194,14 @@ real-data: | $(INSTALLED) $(BUILD)
 	$(RIGTOOL) report $(BUILD)/$(TOOL)-force-5.h5 $(BUILD)/$(TOOL)-force-50.h5 \
 		-o $(BUILD)/$(TOOL)-report --overwrite
 
-# Beside the types, a process makes the byte code and machine code that all workers then find.
+# All workers then find machine code, which one process makes, and the byte code of all tests, which
+# another one makes after the types.
 test: $(INSTALLED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy & $(BIN)/pytest -q -m compiles $$(grep -rl --include=*.py mark.compiles tests); tests=$$?; wait $$! && exit $$tests
+	($(BIN)/mypy; types=$$?; $(BIN)/pytest -q --collect-only >/dev/null; exit $$types) & \
+		$(BIN)/pytest -q -m compiles $$(grep -rl --include=*.py mark.compiles tests); \
+		tests=$$?; wait $$! && exit $$tests
 	$(BIN)/pytest -n 3 --dist worksteal -m "not compiles and not thorough"
 
 test-lowest:

@@ -71,6 +71,15 @@ def trees_are_read_once(request, monkeypatch):
         monkeypatch.setattr(read_once.tree, "read_tree", read_once.read_tree_once)
 
 
+@pytest.fixture(autouse=True)
+def staircases_are_fitted_once(request, monkeypatch):
+    """Except in tests/experiments/torque_constant, which is about fitting."""
+    if "tests/experiments/torque_constant/" not in request.node.nodeid:
+        from tests import fitted_once
+
+        monkeypatch.setattr(fitted_once.temperature_fit, "fit_staircases", fitted_once.fit_once)
+
+
 @pytest.fixture
 def world(request, monkeypatch):
     """The emulated time in which a test runs; None where the test is in real time."""

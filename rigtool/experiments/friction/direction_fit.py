@@ -1,15 +1,26 @@
-"""Friction of one direction as it was fitted: a line, or a curve with the Stribeck effect."""
+"""Friction of one direction as it was fitted: a line, or a curve with the Stribeck effect.
+
+What no friction does is refused.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from rigtool.errors import InsufficientDataError
 from rigtool.numerics.arrays import Array
 
 DIRECTION_NAMES = {1: "positive", -1: "negative"}
+
+STRUCTURE_LIMIT = 0.08
+"""Largest rms structure in the residuals, relative to the mean friction."""
+
+FALLING = 4.0
+"""Multiple of its uncertainty by which a line may fall with the speed."""
 
 
 @dataclass(frozen=True)
@@ -94,3 +105,52 @@ def peak(
         part = share * np.exp(-power)
         value, slope = value + part, slope + part * exponent * power / velocity
     return value, slope
+
+
+def require_no_fall(line: DirectionFit) -> None:
+    """Raise `InsufficientDataError` where friction clearly falls with the speed, which viscous
+    friction does not.
+
+    Torque along the motion, which rises, has a reason of its own.
+    """
+    slope, u = float(line.parameters[1]), math.sqrt(float(line.covariance[1, 1]))
+    if line.parameters[0] > 0 and slope < -FALLING * u:
+        raise InsufficientDataError(
+            f"friction falls from {line.lowest:.3g} to {line.highest:.3g} rad/s, by "
+            f"{-slope * 1e3:.3g}({u * 1e3:.1g}) mN m a rad/s, limit {FALLING:g} times its "
+            "uncertainty: that is the Stribeck effect, which hides Coulomb and viscous friction; "
+            "hold higher speeds, too"
+        )
+
+
+def require_explained(fits: Sequence[DirectionFit]) -> None:
+    """Raise where the curve has structure that no friction model explains (Appendix C).
+
+    `fits` are of both directions, so that a constant torque drops out of their mean, or of one.
+    The error is an `InsufficientDataError`.
+    """
+    coulomb = float(np.mean([fit.coulomb[0] for fit in fits]))
+    coulomb_u = math.hypot(*(fit.coulomb[1] for fit in fits)) / len(fits)
+    if coulomb < -3 * coulomb_u:
+        raise InsufficientDataError(
+            f"torque against the motion extrapolates to {coulomb * 1e3:.3g}({coulomb_u * 1e3:.1g}) "
+            "mN m at standstill: friction cannot be below 0; check the signs of current and encoder"
+        )
+    friction = float(np.mean([fit.friction for fit in fits]))
+    if friction <= 0:
+        raise InsufficientDataError(
+            f"the mean torque against the motion is {friction * 1e3:.3g} mN m: friction is above "
+            "0; check current and encoder, whose signs may be wrong or which may not change"
+        )
+    limit = STRUCTURE_LIMIT * friction
+    worst = max(fits, key=lambda fit: fit.structure)
+    if worst.dof > 0 and worst.structure > limit:
+        raise InsufficientDataError(
+            f"torque against speed has structure of {worst.structure * 1e3:.3g} mN m rms about "
+            f"the best friction model, far beyond the scatter of its points; limit "
+            f"{limit * 1e3:.3g} mN m ({100 * STRUCTURE_LIMIT:.0f} % of the friction); worst at "
+            f"{worst.worst_speed:.3g} rad/s. No friction model explains that: suspect noise "
+            "that is slower than a hold (raise stribeck.hold_time), a Stribeck effect that too few "
+            "speeds show (hold 8 or more, some of them above it), the current amplifier at low "
+            "current, or a resonance of the speed loop"
+        )

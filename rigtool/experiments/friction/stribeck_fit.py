@@ -13,14 +13,21 @@ have in common: `offset`.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.friction.direction_fit import DIRECTION_NAMES, DirectionFit, curve, peak
+from rigtool.experiments.friction.direction_fit import (
+    DIRECTION_NAMES,
+    DirectionFit,
+    curve,
+    peak,
+    require_explained,
+    require_no_fall,
+)
 from rigtool.numerics.arrays import TINY, Array
 from rigtool.numerics.checks import require_signals
 from rigtool.numerics.minimum import minimum
@@ -40,9 +47,6 @@ OFF_THE_LINE = 3.0
 OTHER_VELOCITIES = 25
 """Number of Stribeck velocities that represent all those that the data may not resolve."""
 
-STRUCTURE_LIMIT = 0.08
-"""Largest rms structure in the residuals, relative to the mean friction."""
-
 FAR_BEYOND = 3.0
 """Multiple of the scatter of points from which on residuals are structure: scatter that is itself
 uncertain leaves less, which the uncertainty of the fit includes."""
@@ -59,9 +63,6 @@ the correction of the criterion, 60, would reject one that fits to a fiftieth of
 SWING_U = 0.2
 """Relative standard uncertainty of the variance of the speed within holds: what an inertia known to
 a tenth leaves of it."""
-
-FALLING = 4.0
-"""Multiple of its uncertainty by which a line may fall with the speed."""
 
 
 class _Points(NamedTuple):
@@ -188,26 +189,11 @@ def fit_direction(
     if best.exponent is None or curves[best.exponent] is None:
         lowest, needed = _criterion(line, points), 0.0
         best = _straight_part(points)
-        _require_no_fall(best)
+        require_no_fall(best)
     averaged, own = _averaged(best, curves, points)
     covariance = best.covariance.copy()
     covariance[:2, :2] = own
     return replace(best, averaged=averaged, covariance=covariance, criterion=lowest + needed)
-
-
-def _require_no_fall(line: DirectionFit) -> None:
-    """Raise where friction clearly falls with the speed: viscous friction does not do that.
-
-    Torque along the motion, which rises, has a reason of its own.
-    """
-    slope, u = float(line.parameters[1]), math.sqrt(float(line.covariance[1, 1]))
-    if line.parameters[0] > 0 and slope < -FALLING * u:
-        raise InsufficientDataError(
-            f"friction falls from {line.lowest:.3g} to {line.highest:.3g} rad/s, by "
-            f"{-slope * 1e3:.3g}({u * 1e3:.1g}) mN m a rad/s, limit {FALLING:g} times its "
-            "uncertainty: that is the Stribeck effect, which hides Coulomb and viscous friction; "
-            "hold higher speeds, too"
-        )
 
 
 def _averaged(
@@ -375,36 +361,3 @@ def _akaike(residual: Array, parameters: int, *, known: bool) -> float:
 def _criterion(fit: DirectionFit, points: _Points) -> float:
     residual = points.weighted(fit.evaluate(points.v, points.swing))
     return _akaike(residual, len(fit.parameters), known=len(residual) < FEW_SPEEDS)
-
-
-def require_explained(fits: Sequence[DirectionFit]) -> None:
-    """Raise where the curve has structure that no friction model explains (Appendix C).
-
-    `fits` are of both directions, so that a constant torque drops out of their mean, or of one.
-    The error is an `InsufficientDataError`.
-    """
-    coulomb = float(np.mean([fit.coulomb[0] for fit in fits]))
-    coulomb_u = math.hypot(*(fit.coulomb[1] for fit in fits)) / len(fits)
-    if coulomb < -3 * coulomb_u:
-        raise InsufficientDataError(
-            f"torque against the motion extrapolates to {coulomb * 1e3:.3g}({coulomb_u * 1e3:.1g}) "
-            "mN m at standstill: friction cannot be below 0; check the signs of current and encoder"
-        )
-    friction = float(np.mean([fit.friction for fit in fits]))
-    if friction <= 0:
-        raise InsufficientDataError(
-            f"the mean torque against the motion is {friction * 1e3:.3g} mN m: friction is above "
-            "0; check current and encoder, whose signs may be wrong or which may not change"
-        )
-    limit = STRUCTURE_LIMIT * friction
-    worst = max(fits, key=lambda fit: fit.structure)
-    if worst.dof > 0 and worst.structure > limit:
-        raise InsufficientDataError(
-            f"torque against speed has structure of {worst.structure * 1e3:.3g} mN m rms about "
-            f"the best friction model, far beyond the scatter of its points; limit "
-            f"{limit * 1e3:.3g} mN m ({100 * STRUCTURE_LIMIT:.0f} % of the friction); worst at "
-            f"{worst.worst_speed:.3g} rad/s. No friction model explains that: suspect noise "
-            "that is slower than a hold (raise stribeck.hold_time), a Stribeck effect that too few "
-            "speeds show (hold 8 or more, some of them above it), the current amplifier at low "
-            "current, or a resonance of the speed loop"
-        )

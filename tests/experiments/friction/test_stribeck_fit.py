@@ -11,6 +11,7 @@ from scipy import stats
 from scipy.optimize import curve_fit
 
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.friction.direction_fit import require_explained
 from rigtool.experiments.friction.holds import Holds, find_holds, pool
 from rigtool.experiments.friction.low_current import (
     deviation_at_low_current,
@@ -19,11 +20,7 @@ from rigtool.experiments.friction.low_current import (
 from rigtool.experiments.friction.offset import separate_offset
 from rigtool.experiments.friction.procedure_analysis import fit_holds
 from rigtool.experiments.friction.results import Findings, Scale, add_friction
-from rigtool.experiments.friction.stribeck_fit import (
-    fit_direction,
-    fit_directions,
-    require_explained,
-)
+from rigtool.experiments.friction.stribeck_fit import fit_direction, fit_directions
 from rigtool.experiments.friction.sweep import torque_speed_curve
 from rigtool.quantity import Quantity
 from tests.experiments.friction.turning_motor import COUNT, Motor

@@ -30,6 +30,7 @@ from rigtool.experiments.torque_constant.staircases.fit import (
     fit_staircases,
 )
 from rigtool.experiments.torque_constant.staircases.friction_change import either, friction_changes
+from rigtool.experiments.torque_constant.staircases.friction_of_each import friction_of_each
 from rigtool.experiments.torque_constant.staircases.least_squares import without_known
 from rigtool.experiments.torque_constant.staircases.mean_staircases import MeanStaircases
 from rigtool.experiments.torque_constant.staircases.model import (
@@ -72,6 +73,13 @@ def thesis() -> Calibration:
     return analyse(bench, bench.record())
 
 
+@pytest.fixture
+def fitted(thesis, monkeypatch):
+    """Give the staircases of `thesis` its slopes: what is stated of instruments moves none."""
+    path = "rigtool.experiments.torque_constant.temperature_fit.fit_staircases"
+    monkeypatch.setattr(path, lambda plateaus: thesis.slopes)
+
+
 def test_thesis_values_come_back(thesis):
     # thesis 7.1.1: 45.8 mN m/A at 20 degC, -0.116 %/K, and 0.9 % for a constant over 20-35 degC
     assert thesis.torque_constant is not None
@@ -93,7 +101,7 @@ def test_friction_hysteresis_is_reported_and_its_transition_found(thesis):
     assert_allclose(thesis.slopes.rising[middle], -2e-3, rtol=0.03)
 
 
-def test_derivatives_are_those_of_gtc():
+def test_derivatives_are_those_of_gtc(fitted):
     """k(T) = g (k0 + b (T - T0)) written out with GTC's uncertain numbers."""
     bench = Bench()
     signals = bench.record()
@@ -228,7 +236,7 @@ def test_scatter_of_a_change_with_temperature_is_that_of_noise_on_the_plateaus()
     rise = stairs.temperature.mean(axis=1) - stairs.temperature.mean()
     trend = rise / (rise @ rise)
     common = Common(30e-3 * bench.stiffness, 1.0, None, bench.time_constant)
-    friction = MeanStaircases(stairs, bench.coefficient, trend).friction_of_each(common)
+    friction = friction_of_each(MeanStaircases(stairs, bench.coefficient, trend), common)
     solution = _solve(
         stairs, winding(stairs, bench.time_constant), friction, bench.coefficient, rise
     )
@@ -760,10 +768,10 @@ def test_resolution_of_the_gauge_is_seen_in_its_readings_and_stated():
     assert_allclose(plateaus.resolution, 5e-3 * 0.54, rtol=1e-6)
     found = calibrate(plateaus, arm_length=0.54, **ARM)
     assert abs(found.mean.value / (45.8e-3 * (1 - 1.16e-3 * 7.5)) - 1) < 3 * found.mean.u / 45e-3
-    fine = analyse(bench, signals).components
-    assert found.components["gauge resolution"] > 20 * fine["gauge resolution"]
+    fine = analyse(bench, signals)
+    assert found.components["gauge resolution"] > 20 * fine.components["gauge resolution"]
     own = found.slopes.rounding - found.slopes.rounding.mean(axis=1, keepdims=True)
-    shift = fit_staircases(plateaus).slope - analyse(bench, signals).slopes.slope
+    shift = found.slopes.slope - fine.slopes.slope
     assert_allclose(np.sqrt(np.mean(own**2)), np.std(shift), rtol=0.4)
     stated = plateaus_of_set_point(
         **signals, arm_length=0.54, settle_time=0.08, gauge_resolution=5e-3
@@ -789,7 +797,7 @@ def test_readings_that_only_follow_the_steps_of_the_gauge_are_refused():
     assert abs(found.value / (45.8e-3 * (1 - 1.16e-3 * 7.5)) - 1) < 3 * found.u / 45e-3
 
 
-def test_gauge_that_is_not_linear_is_in_the_budget(thesis):
+def test_gauge_that_is_not_linear_is_in_the_budget(thesis, fitted):
     bench = Bench()
     plateaus = plateaus_of_set_point(**bench.record(), arm_length=0.54, settle_time=0.08)
     found = calibrate(plateaus, arm_length=0.54, gauge_linearity=2e-3, **ARM)
@@ -1094,7 +1102,7 @@ def test_mean_over_turn_does_not_care_where_the_turn_begins(shift, noise):
     assert_allclose(there.u, here.u, rtol=1e-9)
 
 
-def test_an_error_of_the_thermometer_moves_the_constant_along_its_slope(thesis):
+def test_an_error_of_the_thermometer_moves_the_constant_along_its_slope(fitted):
     bench = Bench()
     signals = bench.record()
     plateaus = plateaus_of_set_point(

@@ -18,6 +18,7 @@ from rigtool.experiments.torque_constant.staircases.friction_change import (
     of_trend,
 )
 from rigtool.experiments.torque_constant.staircases.friction_cone import begins_with
+from rigtool.experiments.torque_constant.staircases.friction_of_each import friction_of_each
 from rigtool.experiments.torque_constant.staircases.gauge_rounding import (
     rounding_errors,
     spread_over_zeros,
@@ -36,6 +37,7 @@ from rigtool.experiments.torque_constant.staircases.model import (
     SAME_TEMPERATURE,
     Stairs,
     arrange,
+    columns_of,
     mean_of,
 )
 from rigtool.experiments.torque_constant.staircases.plateaus import Plateaus
@@ -140,11 +142,11 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     coefficient = hypotheses.means.coefficient
     tau, probable = hypotheses.time_constants()
     warm, range_u = mean_winding(stairs, tau, probable, trend)
-    given = stairs, warm, hypotheses.means.friction_of_each(best), coefficient, rise
+    given = stairs, warm, friction_of_each(hypotheses.means, best), coefficient, rise
     both = _solve(*given), _solve(*given, steady=True)
     for _ in range(MOTIONS if given[2] else 0):
         motion = _begins(stairs, both[0].fit), _sizes(stairs, both, trend, rise)
-        friction = hypotheses.means.friction_of_each(best, *motion)
+        friction = friction_of_each(hypotheses.means, best, *motion)
         given = *given[:2], friction, coefficient, rise
         both = _solve(*given), _solve(*given, steady=True)
     solution, steady = both
@@ -253,33 +255,18 @@ def _solve(
     *,
     steady: bool = False,
 ) -> _Solution:
-    """Solve (1), linear in all that is left, for all staircases with `warm` windings.
-
-    Each has a slope, a zero and a state of the friction at its beginning of its own; what a
-    step leaves behind and friction, with columns `friction` (m, p), are common to all. Friction may
-    change with the temperature, of which each has `rise` (m,) K; `steady` friction does not. What a
-    step leaves of ripple that lags is common to all, too, in proportion to that step of the ripple:
-    it would pass for friction that grows with the ripple.
-    """
-    heat, warmth = warm
-    temperature = mean_of(warmth, stairs.weight)
-    # The loss of the constant by a kelvin is the same at all temperatures, not its relative loss.
-    size = (1 + coefficient * rise)[:, None]
-    current = stairs.current * (1 + coefficient / size * (warmth - temperature[:, None]))
-    own = [stairs.weight, *friction[1:]]
-    shared = [stairs.last_step]
-    if friction:
-        left = stairs.courses.ripple_steps() * stairs.weight
-        shared += [friction[0], left]
-        shared += [] if steady else [rise[:, None] * friction[0]]
-    warmed = LeastSquares(stairs.torque, [current, current * heat / size, *own], shared)
+    """Solve (1), linear in all that is left, for all staircases; arguments as in `columns_of`."""
+    current, lost, own, shared = columns_of(
+        stairs, warm, friction, coefficient, rise, steady=steady
+    )
+    warmed = LeastSquares(stairs.torque, [current, current * lost, *own], shared)
     loss, loss_u, loss_dof = heat_loss(stairs, warmed)
-    current = current * (1 - loss * heat / size)
+    current = current * (1 - loss * lost)
     bend, first, first_u, u, dof = _bend(stairs, current, own, shared)
     top = float(np.max(np.abs(current)))
     level = stairs.torque - bend[:, None] * current * np.abs(current)
     fit = LeastSquares(level, [current, *own], shared)
-    share = float(np.mean(np.sum(fit.inverse[:, 0] * current * heat / size, axis=1)))
+    share = float(np.mean(np.sum(fit.inverse[:, 0] * current * lost, axis=1)))
     slope = fit.own[:, 0] + top * bend
     return _Solution(
         slope=slope,
@@ -287,7 +274,7 @@ def _solve(
         first_u=first_u,
         u=u,
         dof=dof,
-        temperature=temperature,
+        temperature=mean_of(warm[1], stairs.weight),
         heating=loss * share,
         heating_u=loss_u * share,
         heating_dof=loss_dof,

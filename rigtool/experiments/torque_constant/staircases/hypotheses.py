@@ -41,6 +41,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.staircases.arm_motion import within_limits
+from rigtool.experiments.torque_constant.staircases.friction_of_each import friction_of_each
 from rigtool.experiments.torque_constant.staircases.mean_staircases import (
     ASYMMETRY,
     MeanStaircases,
@@ -177,7 +178,7 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
         doubt = means.find_asymmetry(best)
         ways = _find_arm(means, stairs, best, every)
     means.winding, means.coefficient = with_torque(
-        means.winding, means.stairs, means.friction_of_each(best), coefficient
+        means.winding, means.stairs, friction_of_each(means, best), coefficient
     )
     found = weighed(means, ways, doubt, lengths)
     means.move_arm(found.best)

@@ -142,43 +142,6 @@ class MeanStaircases:
         law = _law(common)
         return self._moves(*law, *self._along_turns(*law, [common.lag]))
 
-    def friction_of_each(
-        self, common: Common, begins: Array | None = None, sizes: Array | float = 1.0
-    ) -> tuple[Array, ...]:
-        """Return columns of f and f z0 of each staircase (m, p), or nothing without friction.
-
-        It is that of the arm's motion under the torque of each, which begins with the friction
-        `begins` (m,) over f, or with that of the mean, and is moved with `sizes` (m,) of f. Ripple
-        acts with a lag: what that does to the turns of the arm is added.
-        """
-        if common.transition is None:
-            return ()
-        courses, kind = self.stairs.courses, self.stairs.courses.kind
-
-        def by_turns(way: Array) -> Array:
-            both = friction_state(way, common.transition or 0.0, common.exponent)
-            return np.stack(one_sided(*both, self.asymmetry))
-
-        if common.lag is None:
-            own = by_turns(straight_path(courses)[:, kind])
-        else:
-            torque, *both = courses.of_each()
-            own, at_once = (
-                by_turns(paths(courses, torque, course, [common.lag])[0]) for course in both
-            )
-            if self.arm is not None:
-                # As for the mean, or the paths of all would lead elsewhere.
-                contacts = self.moves(common)
-                first, _ = one_sided(contacts.state[0, kind, :1], at_once[1], self.asymmetry)
-                first = first if begins is None else begins[:, None]
-                friction = at_once[0] + at_once[1] * first
-                state = state_of(friction, self.asymmetry)
-                contacts = replace(contacts, level=contacts.level * sizes, state=state)
-                each = replace(courses, torque=torque, course=both[0], part=courses.part[kind])
-                own += np.concatenate(self.arm.friction_state(each, contacts)) - at_once
-        a, b = -own * self.stairs.weight
-        return a, b
-
     def try_all(self, axes: list[Array]) -> tuple[Array, Array, Array, Array, Array]:
         """Return what all hypotheses of a grid leave, each without a loss by heat and with one.
 

@@ -165,6 +165,37 @@ def winding(stairs: Stairs, time_constant: float) -> tuple[Array, Array]:
     return heat, stairs.temperature + lag
 
 
+def columns_of(
+    stairs: Stairs,
+    warm: tuple[Array, Array],
+    friction: tuple[Array, ...],
+    coefficient: float,
+    rise: Array,
+    *,
+    steady: bool = False,
+) -> tuple[Array, Array, list[Array], list[Array]]:
+    """Return what (1) has columns of for `warm` windings, as `winding` returns them, (m, p) each:
+    the warmed current, and the part of the constant that a g of 1 takes; the others of each
+    staircase, and those that all share.
+
+    Each has a zero and a state of the friction at its beginning of its own; what a step leaves
+    behind and friction, with columns `friction` (m, p), are common to all. Friction may change with
+    the temperature, of which each has `rise` (m,) K; `steady` friction does not. What a step leaves
+    of ripple that lags is common to all, too, in proportion to that step of the ripple: it would
+    pass for friction that grows with the ripple. `coefficient` is c, 1/K.
+    """
+    heat, warmth = warm
+    # The loss of the constant by a kelvin is the same at all temperatures, not its relative loss.
+    size = (1 + coefficient * rise)[:, None]
+    drift = warmth - mean_of(warmth, stairs.weight)[:, None]
+    shared = [stairs.last_step]
+    if friction:
+        shared += [friction[0], stairs.courses.ripple_steps() * stairs.weight]
+        shared += [] if steady else [rise[:, None] * friction[0]]
+    current = stairs.current * (1 + coefficient / size * drift)
+    return current, heat / size, [stairs.weight, *friction[1:]], shared
+
+
 @compiled
 def _warm(
     begin: Array,

@@ -30,6 +30,7 @@ from rigtool.experiments.torque_constant.staircases.model import (
     COPPER_COEFFICIENT,
     SAME_TEMPERATURE,
     Stairs,
+    columns_of,
     mean_of,
     winding,
 )
@@ -168,14 +169,10 @@ def with_torque(
     trend, used = rise / (rise @ rise), np.mean(stairs.weight, axis=0) > 0
 
     def fit(tau: float, c: float, steady: bool = False) -> tuple[LeastSquares, Array]:
-        heat, warmth = winding(stairs, tau)
-        mean, size = mean_of(warmth, stairs.weight), (1 + c * rise)[:, None]
-        current = stairs.current * (1 + c / size * (warmth - mean[:, None]))
-        shared = [stairs.last_step, stairs.current * heat / size]
-        if friction:
-            ripple = stairs.courses.ripple_steps() * stairs.weight
-            shared += [friction[0], ripple] + [rise[:, None] * friction[0]] * (not steady)
-        return LeastSquares(stairs.torque, [current, stairs.weight, *friction[1:]], shared), mean
+        warm = winding(stairs, tau)
+        current, lost, own, shared = columns_of(stairs, warm, friction, c, rise, steady=steady)
+        found = LeastSquares(stairs.torque, [current, *own], [*shared, stairs.current * lost])
+        return found, mean_of(warm[1], stairs.weight)
 
     def changed(tau: float, c: float) -> float:
         found, degc = fit(tau, c, steady=True)

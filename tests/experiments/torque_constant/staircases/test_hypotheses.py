@@ -176,7 +176,8 @@ def test_the_spread_is_that_of_constants_drawn_from_all_hypotheses(monkeypatch):
     tau = np.tile([5.0, 20.0], 20)
     found = Weighed(None, np.log(tau), random.uniform(size=40), *own, unknown[:, 0], unknown)
     means = SimpleNamespace(dof=1, arm=None, winding=None, stairs=None)
-    means.move_arm = means.friction_of_each = lambda best: None
+    means.move_arm = lambda best: None
+    monkeypatch.setattr(hypotheses, "friction_of_each", lambda means, best: None)
     monkeypatch.setattr(hypotheses, "MeanStaircases", lambda *given: means)
     monkeypatch.setattr(hypotheses, "ways_of", lambda stairs: [])
     monkeypatch.setattr(hypotheses, "_joined", lambda tried: SimpleNamespace(best=lambda n: None))

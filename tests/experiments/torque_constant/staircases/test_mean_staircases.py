@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rigtool.experiments.torque_constant.staircases import fit
 from rigtool.experiments.torque_constant.staircases.arm_motion import (
     Arm,
     Contacts,
@@ -13,6 +14,7 @@ from rigtool.experiments.torque_constant.staircases.arm_motion import (
     within_limits,
 )
 from rigtool.experiments.torque_constant.staircases.fit import fit_staircases
+from rigtool.experiments.torque_constant.staircases.friction_of_each import friction_of_each
 from rigtool.experiments.torque_constant.staircases.hypotheses import weigh_hypotheses
 from rigtool.experiments.torque_constant.staircases.mean_staircases import (
     ASYMMETRY,
@@ -195,7 +197,7 @@ def test_friction_of_each_staircase_is_on_average_that_of_the_mean(swinging_arm,
     shown = replace(contacts, level=5 * contacts.level, state=contacts.state.mean(axis=0)[None])
     monkeypatch.setattr(means, "_moves", lambda *_: mean_of(contacts))
     monkeypatch.setattr(means, "contacts", lambda common: shown)
-    mean, each = means._friction_under(law)[0], means.friction_of_each(law)[0]
+    mean, each = means._friction_under(law)[0], friction_of_each(means, law)[0]
     assert np.abs(each.mean(axis=0) - mean[0]).max() < 0.01
 
 
@@ -205,14 +207,14 @@ def test_friction_of_each_staircase_follows_its_own_torque(swinging_arm, monkeyp
     courses = replace(means.stairs.courses, noise=np.array([1e-4]))
     monkeypatch.setattr(means.stairs, "courses", courses)
     monkeypatch.setattr(means, "moves", lambda common: mean_of(contacts))
-    by_arm = means.friction_of_each(law)[0]
+    by_arm = friction_of_each(means, law)[0]
     monkeypatch.setattr(means, "arm", None)
-    by_turns = means.friction_of_each(law)[0]
+    by_turns = friction_of_each(means, law)[0]
     off, rough = (np.abs(-each - contacts.state)[:, 1:].max() for each in (by_arm, by_turns))
     assert off < 3e-3
     assert rough > 2 * off
     assert np.ptp(contacts.state[:, 1:], axis=0).max() > 8e-3
-    assert means.friction_of_each(replace(law, transition=None)) == ()
+    assert friction_of_each(means, replace(law, transition=None)) == ()
 
 
 def test_friction_of_each_staircase_begins_with_its_own(swinging_arm, monkeypatch):
@@ -230,7 +232,7 @@ def test_friction_of_each_staircase_begins_with_its_own(swinging_arm, monkeypatc
         own = replace(own, state=a + b * begins[:, None])
 
     def off(*known) -> float:
-        a, b = means.friction_of_each(law, *known)
+        a, b = friction_of_each(means, law, *known)
         return float(np.abs(-a - b * begins[:, None] - own.state)[:, 1:].max())
 
     assert off(begins) < 5e-3
@@ -250,7 +252,7 @@ def test_friction_that_differs_by_temperature_moves_each_arm(swinging_arm, monke
         own = replace(own, state=arms.friction_state(each, own)[0])
 
     def off(*known) -> float:
-        return float(np.abs(-means.friction_of_each(law, *known)[0] - own.state)[:, 1:].max())
+        return float(np.abs(-friction_of_each(means, law, *known)[0] - own.state)[:, 1:].max())
 
     assert off(begins, sizes) < 0.3 * off(begins)
 
@@ -258,18 +260,18 @@ def test_friction_that_differs_by_temperature_moves_each_arm(swinging_arm, monke
 @pytest.fixture
 def motion(monkeypatch):
     """Return what finds the friction with which staircases begin, and which moves their arms."""
-    asked, of_each = [], MeanStaircases.friction_of_each
+    asked = []
 
     def spied(means, common, *known):
         asked.append(known)
-        return of_each(means, common, *known)
+        return friction_of_each(means, common, *known)
 
     def motion(signals):
         plateaus = plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08)
         slopes = fit_staircases(plateaus)
         return slopes, *asked[-1]
 
-    monkeypatch.setattr(MeanStaircases, "friction_of_each", spied)
+    monkeypatch.setattr(fit, "friction_of_each", spied)
     return motion
 
 
