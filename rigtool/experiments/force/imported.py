@@ -135,10 +135,10 @@ def _of_this_mounting(
     """Return the estimates with u widened where strokes to and fro disagree, and notes.
 
     Raises `InsufficientDataError` where strokes disagree more than in any learned recording, or all
-    runs together in one sense.
+    runs together in one sense, and no load that changes explains it.
     """
     loop = model.loop
-    offsets, shapes = np.array([_loop_parts(item, model) for item in measured]).T
+    offsets, shapes, changing = np.array([_loop_parts(item, model) for item in measured]).T
     known = np.isfinite(offsets)
     if not known.any():
         return list(measured), [
@@ -146,7 +146,9 @@ def _of_this_mounting(
             "this mounting cannot be checked"
         ]
     misfits = np.maximum(np.abs(offsets), shapes)
-    typical, together = float(np.median(misfits[known])), abs(float(np.mean(offsets[known])))
+    shown = changing[known]
+    typical = float(np.median(misfits[known] / shown))
+    together = abs(float(np.mean(offsets[known] / shown)))
     runs = int(known.sum())
     doubted, refused = (
         (loop.limit(level, runs), loop.limit_of_mean(level, runs)) for level in (DOUBTED, REFUSED)
@@ -161,10 +163,10 @@ def _of_this_mounting(
                 "(two with --prior, where there is no third)"
             )
     factors = np.where(np.nan_to_num(misfits) > loop.limit(DOUBTED), misfits, 1.0)
-    if typical > doubted[0]:
-        factors = np.maximum(factors, typical)
-    if together > doubted[1]:
-        factors = np.maximum(factors, math.hypot(1, together))
+    if (usual := float(np.median(misfits[known]))) > doubted[0]:
+        factors = np.maximum(factors, usual)
+    if (mean := abs(float(np.mean(offsets[known])))) > doubted[1]:
+        factors = np.maximum(factors, math.hypot(1, mean))
     wider = [
         item if factor == 1 else Measured(item.signals, item.estimate.widened(factor))
         for item, factor in zip(measured, factors.tolist(), strict=True)
@@ -177,15 +179,15 @@ def _of_this_mounting(
     if (many := int(np.count_nonzero(factors > 1))) > 0:
         notes.append(
             f"u of {many} runs is wider, up to {factors.max():.2g} times: their strokes disagree "
-            "more"
+            "more, or their load changes in time"
         )
     return wider, notes
 
 
-def _loop_parts(item: Measured, model: LoadModel) -> tuple[float, float]:
+def _loop_parts(item: Measured, model: LoadModel) -> tuple[float, float, float]:
     path, estimate = item.signals.path, item.estimate
-    offset, shape = model.loop.parts(model.place(path), path.speed > 0, estimate.compared)
-    return offset / estimate.noisier, shape / estimate.noisier
+    offset, shape, changing = model.loop.parts(model.place(path), path.speed > 0, estimate.compared)
+    return offset / estimate.noisier, shape / estimate.noisier, changing
 
 
 def _require_learned_here(runs: Sequence[Run], tables: Run) -> None:

@@ -15,6 +15,11 @@ less one states how far it may be. Of n runs the median of T is known better tha
 1 / (c + (1 - c) / n) that are independent, and T^2 goes as F with so many degrees of freedom, where
 c is what runs at one load or speed have in common. So is the mean of o: of r recordings, its
 standard deviation is S_o sqrt(c + (1 - c) / n + 1 / r).
+
+A load that changes in time acts on other strokes to than fro, which may be another mounting or
+not. With n+ and n- strokes the variance of d is v = s^2 (1 / n+ + 1 / n-) by it, where s^2 is the
+mean square about the mean of a direction, with n+ + n- - 2 degrees of freedom. What is refused is
+T / r with r^2 = 1 + v / S_o^2; u grows by the whole of T.
 """
 
 from __future__ import annotations
@@ -25,7 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.imported_load.region import cell_means
+from rigtool.experiments.imported_load.region import STROKE_CELLS, cell_means, strokes_of
 from rigtool.numerics.arrays import Array, Mask
 
 FEWEST_ROWS = 3
@@ -51,16 +56,17 @@ class StrokeLoop:
     offset: float
     recordings: int
 
-    def parts(self, place: Array, rising: Mask, torque: Array) -> tuple[float, float]:
-        """Return o / S_o, with its sign, and the shape's part of T, of rows (n,) of one recording;
-        NaN where too few cells have both directions."""
+    def parts(self, place: Array, rising: Mask, torque: Array) -> tuple[float, float, float]:
+        """Return o / S_o, with its sign, the shape's part of T, and r, of rows (n,) of one
+        recording; NaN where too few cells have both directions."""
         apart = _loop(place, rising, torque) - self.mean
-        apart = np.where(self.shape > 0, apart, np.nan)
-        if np.isfinite(apart).sum() < FEWEST_CELLS or not self.offset > 0:
-            return math.nan, math.nan
-        offset = float(np.nanmean(apart))
-        shape = float(np.sqrt(np.nanmean(((apart - offset) / self.shape) ** 2)))
-        return offset / self.offset, shape
+        known = np.isfinite(apart) & (self.shape > 0)
+        if known.sum() < FEWEST_CELLS or not self.offset > 0:
+            return math.nan, math.nan, math.nan
+        offset = float(np.mean(apart[known]))
+        shape = float(np.sqrt(np.mean(((apart - offset) / self.shape)[known] ** 2)))
+        changing = float(np.mean(_changing(place, rising, torque)[known]))
+        return offset / self.offset, shape, math.sqrt(1 + changing / self.offset**2)
 
     def limit(self, confidence: float, runs: int = 1) -> float:
         """Return the T, of several runs the median, beyond which they are not like those learned.
@@ -112,3 +118,20 @@ def _loop(place: Array, rising: Mask, torque: Array) -> Array:
     known = np.isfinite(torque)
     up, down = (cell_means(place, torque, known & way, FEWEST_ROWS) for way in (rising, ~rising))
     return up - down
+
+
+def _changing(place: Array, rising: Mask, torque: Array) -> Array:
+    """Return the variance (c,) of a loop by how strokes of one direction differ; cells with one
+    stroke in each have the usual one, 0 where there is none."""
+    stroke = strokes_of(np.where(rising, 1.0, -1.0))
+    squares, dof, parts = np.zeros((3, STROKE_CELLS))
+    for way in (rising, ~rising):
+        rows = way & np.isfinite(torque)
+        own = [cell_means(place, torque, rows & (stroke == n)) for n in np.unique(stroke[rows])]
+        count = np.isfinite(own).sum(axis=0)
+        squares += np.nansum((own - _over_recordings(np.array(own), 0)) ** 2, axis=0)
+        dof += np.maximum(count - 1, 0)
+        parts += 1 / np.maximum(count, 1)
+    usual = squares.sum() / max(dof.sum(), 1)
+    found: Array = parts * np.where(dof > 0, squares / np.maximum(dof, 1), usual)
+    return found

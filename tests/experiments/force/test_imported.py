@@ -195,6 +195,30 @@ def test_runs_that_all_disagree_a_little_have_a_wider_u():
     np.testing.assert_allclose(widened([0.99 * doubted, -0.99 * doubted] * 2)[0], 1.0, rtol=1e-9)
 
 
+@pytest.mark.parametrize("offset", [5.5, 21.0])
+def test_a_load_that_changes_is_no_other_mounting_but_widens_u(offset):
+    """The torque of the third stroke, and so the loop, is by the load: u holds the whole of that,
+    which another mounting may be; what no load explains is refused."""
+    own = model()
+    (given,) = measured(own, run())
+    path = given.signals.path
+    third = (path.speed > 0) & (np.arange(ROWS) > ROWS // 2)
+    compared = 0.1 * (np.where(path.speed > 0, offset - 2.0, 0.0) + 4.0 * third)
+    run_of = Measured(given.signals, replace(given.estimate, compared=compared))
+    shown = math.sqrt(1 + 2 * 2.0**2 * (1 / 2 + 1))
+    refused, _ = limits(6, 0.99, 1)
+    if offset / shown > refused:
+        with pytest.raises(InsufficientDataError, match="strokes to and fro disagree 5"):
+            imported._of_this_mounting([run_of], own, TABLES)
+        return
+    (found,), notes = imported._of_this_mounting([run_of], own, TABLES)
+    assert offset > refused  # of a load that does not change
+    assert found.estimate.u[5] / given.estimate.u[5] == pytest.approx(
+        math.hypot(1, offset), rel=0.1
+    )
+    assert "their load changes" in notes[1]
+
+
 def test_one_direction_is_not_compared():
     own = model()
     signals, *_ = run()

@@ -49,10 +49,11 @@ def test_parts_of_a_recording_are_those_of_its_offset_and_shape():
     assert_allclose(found.shape, np.sqrt(squares), rtol=1e-9)
     for number in (0, 1, 5):
         own = rows[4] == number
-        offset, shape = found.parts(*(each[own] for each in rows[:3]))
+        offset, shape, changing = found.parts(*(each[own] for each in rows[:3]))
         assert_allclose(offset, offsets[number] / found.offset, rtol=1e-9)
         ratio = shapes[number] / found.shape
         assert_allclose(shape**2, np.nanmean(ratio**2), rtol=1e-9)
+        assert changing == 1.0  # one stroke in each direction
 
 
 def test_limits_are_those_of_student_and_fall_with_the_runs():
@@ -76,3 +77,21 @@ def test_a_loop_in_few_cells_is_not_compared(cells):
     assert np.isfinite(parts).all() == (cells == 3)
     once = some & (np.arange(len(some)) % 2 == 0)  # two rows in each cell
     assert np.isnan(found.parts(*(each[once] for each in rows[:3]))).all()
+
+
+def test_a_load_that_changes_between_strokes_shows_less_of_the_mounting():
+    """By strokes of one direction: three to, of loads 1, 2 and 6, two fro, of 5 and 9."""
+    *rows, _ = recordings(6, 4)
+    found = learn_loop(*rows)
+    load = np.repeat([1.0, 5.0, 2.0, 9.0, 6.0], 80)
+    place = np.tile((np.repeat(np.arange(20), 4) + 0.5) / 20, 5)
+    rising = np.repeat([True, False, True, False, True], 80)
+    square = (4 + 1 + 9 + 4 + 4) / (3 + 2 - 2)
+    for known in (np.ones(400, dtype=bool), ~((load == 9) & (place > 0.5))):
+        # half of the cells have one stroke less: (4 + 1 + 9) / (3 + 1 - 2) about the others' means
+        fewer = (4 + 1 + 9) / (3 + 1 - 2) * (1 / 3 + 1)
+        v = square * (1 / 3 + 1 / 2) if known.all() else (square * (1 / 3 + 1 / 2) + fewer) / 2
+        changing = found.parts(place, rising, np.where(known, load, np.nan))[2]
+        assert_allclose(changing, np.sqrt(1 + v / found.offset**2), rtol=1e-9)
+    # where no cell has two strokes of one direction the load may not have changed
+    assert found.parts(place[:160], rising[:160], load[:160])[2] == 1.0
