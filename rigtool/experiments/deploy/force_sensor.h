@@ -158,19 +158,23 @@ struct rs_shown {
     rs_real seen, angle, speed, housing, sine, cosine;
 };
 
+/* Where U, whose diagonal is 1, holds row i of column j > i: one column after the other. */
+#define RS_AT(i, j) ((j) * ((j) - 1) / 2 + (i))
+
 /* What is known of the ripple of this power-up: mean, and covariance as U diag(d) U' again. */
 struct rs_ripple {
-    rs_real mean[RS_PARTS], u[RS_PARTS][RS_PARTS], d[RS_PARTS];
+    rs_real mean[RS_PARTS], u[RS_AT(0, RS_PARTS)], d[RS_PARTS];
     /* a contact that lasts: what 1 N m of it changes the means by; its mean and variance */
     rs_real shift[RS_PARTS], lasting[2];
 };
 
-/* A filter of that ripple: what is known, and was, the earlier first; the probabilities that
- * something touches, and that a contact lasts; rows since the later one. */
+/* A filter of that ripple: what is known, and was, and which of both is the earlier; the
+ * probabilities that something touches, and that a contact lasts; rows since the later one, negative
+ * after a contact, until there is a later one. */
 struct rs_filter {
     struct rs_ripple known, before[2];
     rs_real touched, lasts;
-    int since;
+    int since, earlier;
 };
 
 /* The filter; its numbers are for nobody else. */
@@ -975,10 +979,10 @@ static inline void rs_begin_anew(struct rigtool_sensor *s, int filter)
     struct rs_filter *f = &s->filters[filter];
     int i, j;
     for (j = 1; j < RS_PARTS; j++) {
-        f->known.d[0] += rs_square(f->known.u[0][j]) * f->known.d[j];
+        f->known.d[0] += rs_square(f->known.u[RS_AT(0, j)]) * f->known.d[j];
         f->known.shift[j] = 0;
         for (i = 0; i < j; i++)
-            f->known.u[i][j] = 0;
+            f->known.u[RS_AT(i, j)] = 0;
     }
     rs_unknown(&f->known, filter);
     if ((s->hangs[1] > (rs_real)0.5) == (filter > 1)) {
@@ -994,18 +998,19 @@ static inline void rs_take_back(struct rs_filter *h)
     int j;
     h->since++;
     if (h->touched > rs_model.row_recognised) {
-        h->known = h->before[1] = h->before[0];
+        h->known = h->before[h->earlier];
         h->known.mean[0] = h->known.shift[0] = 0;
         h->known.d[0] = rs_model.row_untouched;
         for (j = 1; j < RS_PARTS; j++)
-            h->known.u[0][j] = 0;
+            h->known.u[RS_AT(0, j)] = 0;
+        h->since = -RS_LATE_ROWS;
+    } else if (h->since == 0) {
+        h->before[!h->earlier] = h->known;
     } else if (h->since >= RS_LATE_ROWS) {
-        h->before[0] = h->before[1];
-        h->before[1] = h->known;
-    } else {
-        return;
+        h->before[h->earlier] = h->known;
+        h->earlier = !h->earlier;
+        h->since = 0;
     }
-    h->since = 0;
 }
 
 /* Let the doubt of a wave grow: U D U' + e q e', W. S. Agee, R. H. Turner 1972. */
@@ -1017,8 +1022,9 @@ static inline void rs_doubt(struct rs_ripple *known, int wave, rs_real sum)
         const rs_real whole = known->d[j] + sum * rs_square(add[j]);
         const rs_real gain = whole > 0 ? sum * add[j] / whole : (rs_real)0; /* no such order */
         for (i = 0; i < j; i++) {
-            add[i] -= add[j] * known->u[i][j];
-            known->u[i][j] += gain * add[i];
+            rs_real *u = &known->u[RS_AT(i, j)];
+            add[i] -= add[j] * *u;
+            *u += gain * add[i];
         }
         if (whole > 0)
             sum *= known->d[j] / whole;
@@ -1063,12 +1069,13 @@ static inline rs_real rs_by_ripple(
     variance += part[0];
     RS_UNROLL
     for (j = first; j < RS_PARTS; j++) {
-        rs_real sum_of = row[j] + known->u[0][j];
+        const rs_real *u = &known->u[RS_AT(0, j)];
+        rs_real sum_of = row[j] + u[0];
         error -= row[j] * known->mean[j];
         if (first == RS_WAVE)
             seen += row[j] * known->shift[j];
         for (i = first; i < j; i++)
-            sum_of += known->u[i][j] * row[i];
+            sum_of += u[i] * row[i];
         by[j] = sum_of;
         part[j] = known->d[j] * sum_of;
         variance += part[j] * sum_of;
@@ -1093,14 +1100,15 @@ static inline rs_real rs_by_ripple(
     known->d[0] *= sum / whole;
     RS_UNROLL
     for (j = first; j < RS_PARTS; j++) {
-        const rs_real gain = -by[j] / whole, own = part[j], old = known->u[0][j];
+        rs_real *u = &known->u[RS_AT(0, j)];
+        const rs_real gain = -by[j] / whole, own = part[j], old = u[0];
         sum = whole;
         whole += own * by[j];
-        known->u[0][j] = old + gain * column[0];
+        u[0] = old + gain * column[0];
         column[0] += old * own;
         for (i = first; i < j; i++) {
-            const rs_real was = known->u[i][j];
-            known->u[i][j] = was + gain * column[i];
+            const rs_real was = u[i];
+            u[i] = was + gain * column[i];
             column[i] += was * own;
         }
         column[j] = own;
@@ -1145,7 +1153,7 @@ static inline rs_real rs_same(const struct rs_filter *h)
             continue;
         left[j] = rs_expected(h, j);
         for (i = j + 1; i < RS_WAVES; i++)
-            left[j] -= h->known.u[RS_WAVE + j][RS_WAVE + i] * left[i];
+            left[j] -= h->known.u[RS_AT(RS_WAVE + j, RS_WAVE + i)] * left[i];
         total -= rs_square(left[j]) / own;
         part *= own / drawn[j];
         if (j % 2 == 0) { /* an order */
@@ -1245,7 +1253,7 @@ static inline void rs_pass_time(struct rigtool_sensor *s, int slides)
         h->known.mean[0] *= kept;
         h->known.shift[0] *= kept;
         for (j = 1; j < RS_PARTS; j++)
-            h->known.u[0][j] *= kept;
+            h->known.u[RS_AT(0, j)] *= kept;
         h->known.d[0] = kept * kept * h->known.d[0] + fresh;
     }
     if (slides) { /* at rest nothing makes ripple and what lasts less known */
@@ -1393,7 +1401,7 @@ static inline rs_real rs_ripple_spread(
         for (j = 0; j < RS_WAVES; j++) {
             rs_real by = seen[j];
             for (i = 0; i < j; i++)
-                by += h->known.u[RS_WAVE + i][RS_WAVE + j] * seen[i];
+                by += h->known.u[RS_AT(RS_WAVE + i, RS_WAVE + j)] * seen[i];
             spread += by * by * h->known.d[RS_WAVE + j];
             own += seen[j] * h->known.mean[RS_WAVE + j];
             shift += seen[j] * h->known.shift[RS_WAVE + j];

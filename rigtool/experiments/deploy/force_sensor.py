@@ -29,7 +29,12 @@ from rigtool.experiments.force_filter.estimate import idle_steps
 from rigtool.experiments.force_model.drawn_ripple import learned_ripple
 from rigtool.experiments.force_model.drive import VISCOUS
 from rigtool.experiments.force_model.steps import LONGEST_EXACT, NO_CURRENT
-from rigtool.experiments.force_sensor import lasting_contact, ripple_rows, shown_ripple
+from rigtool.experiments.force_sensor.power_up import (
+    lasting_contact,
+    mixed_ripple,
+    ripple_rows,
+    shown_ripple,
+)
 from rigtool.experiments.force_sensor.sensor import AT_THE_LIMIT, SensorProperties
 from rigtool.numerics.arrays import Array
 
@@ -195,7 +200,7 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
     plant = model.plant(step_time)
     size = plant.torque_factor * (uncertainty.stroke + uncertainty.friction_noise)
     row_time = ripple_rows.row_steps(step_time) * step_time
-    both = np.stack([ripple_rows.CHANGED**2 * learned.drawn, learned.drawn])
+    both = np.stack([mixed_ripple.CHANGED**2 * learned.drawn, learned.drawn])
     return {
         "wave_kept": math.exp(-step_time / lag_time),
         "wave_order": learned.orders,
@@ -208,7 +213,7 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
         "wave_mean": np.stack([0 * learned.coefficient, -learned.coefficient]),
         "wave_variance": both,
         "wave_square": plant.torque_factor**2 * learned.drawn.sum(),
-        "wave_doubt": both * (ripple_rows.TURNS * row_time / ripple_rows.FORGOTTEN),
+        "wave_doubt": both * (mixed_ripple.TURNS * row_time / ripple_rows.FORGOTTEN),
         "row_noise": (ripple_rows.NOISE * size) ** 2,
         "row_walk": (np.array(ripple_rows.WALKS) * size) ** 2 * row_time,
         "row_reversal": (ripple_rows.AFTER_REVERSAL * size) ** 2 * row_time / ripple_rows.ROW_TIME,
@@ -219,16 +224,16 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
         "row_ends": ripple_rows.ENDS * row_time,
         "row_changes": ripple_rows.CHANGES * row_time,
         "row_least": ripple_rows.MIN_UNTOUCHED_PROBABILITY,
-        "row_evidence": ripple_rows.ROW_EVIDENCE,
-        "row_certain": ripple_rows.MAX_LOG_RATIO,
+        "row_evidence": mixed_ripple.ROW_EVIDENCE,
+        "row_certain": mixed_ripple.MAX_LOG_RATIO,
         "row_largest": ripple_rows.LARGEST_RIPPLE_RATIO**2,
         "row_recognised": ripple_rows.RECOGNISED,
         "row_lasts": lasting_contact.LASTS,
         "row_lasting": (lasting_contact.LASTING * size) ** 2,
         "row_drift": (lasting_contact.DRIFT * size) ** 2 * row_time,
         "row_least_lasts": lasting_contact.LEAST_LASTS,
-        "row_same": ripple_rows.SAME,
-        "row_beforehand": ripple_rows.BEFOREHAND,
+        "row_same": mixed_ripple.SAME,
+        "row_beforehand": mixed_ripple.BEFOREHAND,
         "row_hangs": lasting_contact.HANGS,
         "row_hanging": (np.array(lasting_contact.HANGING) * size) ** 2,
     }

@@ -35,7 +35,7 @@ from rigtool.experiments.force_filter.swinging import LEAST_SWING, TAKEN_VARIANC
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.intervals import uncertainty_of_kinds
 from rigtool.experiments.force_model.steps import CONTEXT_SAMPLES, FilterSteps, Sampler, Stepper
-from rigtool.experiments.force_sensor.power_up import PowerUp
+from rigtool.experiments.force_sensor.power_up.power_up import PowerUp
 from rigtool.numerics.arrays import Array, Mask
 
 AT_THE_LIMIT = 0.999

@@ -70,6 +70,15 @@ def test_readings_are_those_of_python(libraries, samples, motion):
 
 
 @pytest.mark.compiles
+def test_contacts_soon_after_one_another_are_taken_back_to_before_the_first(libraries):
+    time = np.arange(round(3.6 / INTERVAL)) * INTERVAL
+    pulse = 0.04 * (((time > 1.0) & (time < 1.4)) | ((time > 2.1) & (time < 2.5)))
+    samples = moved(0.8 * np.sin(2.5 * time), pulse)
+    wanted, found = expected(instrument(), samples), read(libraries["double"], samples)
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * RANGE)
+
+
+@pytest.mark.compiles
 @pytest.mark.parametrize(
     ("interval", "every"), [(0.5e-3, 4), (100e-6, 1), (1e-3, 8), (0.75e-3, 6), (1.375e-3, 11)]
 )

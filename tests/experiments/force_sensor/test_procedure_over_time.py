@@ -286,7 +286,7 @@ FIRST_BLOCK = """
 import sys, numpy
 from rigtool.experiments.force_filter import kalman
 from rigtool.experiments.force_model import drive
-from rigtool.experiments.force_sensor import power_up
+from rigtool.experiments.force_sensor.power_up import power_up
 from rigtool.experiments.force_sensor.procedure_live import LiveForce
 from rigtool.recipe import load_recipe
 from rigtool.runfile import open_run

@@ -8,8 +8,9 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal, norm
 
-from rigtool.experiments.force_sensor import ripple_rows as rows
-from rigtool.experiments.force_sensor.lasting_contact import (
+from rigtool.experiments.force_sensor.power_up import mixed_ripple
+from rigtool.experiments.force_sensor.power_up import ripple_rows as rows
+from rigtool.experiments.force_sensor.power_up.lasting_contact import (
     DRIFT,
     LEAST_LASTS,
     counted,
@@ -17,9 +18,13 @@ from rigtool.experiments.force_sensor.lasting_contact import (
     normal,
     weighed,
 )
-from rigtool.experiments.force_sensor.shown_ripple import LARGEST_SHOWN, show, turned_inertia
+from rigtool.experiments.force_sensor.power_up.shown_ripple import (
+    LARGEST_SHOWN,
+    show,
+    turned_inertia,
+)
 
-COUNT, PARTS = rows.WAVE_COUNT, rows.PARTS
+COUNT, PARTS = mixed_ripple.WAVE_COUNT, mixed_ripple.PARTS
 M = COUNT  # what a stroke deviates by
 SIZE, TIME = 0.4e-3, 0.019
 MOST = rows.ENDS * TIME
@@ -29,7 +34,7 @@ UNIT = math.log(2 * math.pi) / 2  # that the likelihoods of the module leave out
 def drawn(seed, slides=True):
     """Return state and parameters in the middle of a recording, in which a row is full."""
     rng = np.random.default_rng(seed)
-    state, parameters = np.zeros(1, rows.STATE), np.zeros(1, rows.PARAMETERS)
+    state, parameters = np.zeros(1, mixed_ripple.STATE), np.zeros(1, mixed_ripple.PARAMETERS)
     s, p = state[0], parameters[0]
     for name, value in {"steps": 20, "time": TIME, "size": SIZE, "late": 25}.items():
         p[name] = value
@@ -116,7 +121,7 @@ def read(s):
         error, variance = value - seen @ mean, seen @ covariance @ seen + noise
         before = found["touched"][f]
         alone, touched = mixed(before, density(error, variance), touching)
-        evidence.append(rows.ROW_EVIDENCE * alone)
+        evidence.append(mixed_ripple.ROW_EVIDENCE * alone)
         found["touched"][f] = touched
         gain = (1 - touched) * covariance @ seen / variance
         found["mean"][f] = mean + gain * error
@@ -128,7 +133,7 @@ def read(s):
         whole = variance + own**2 * lasting[1]
         lasts, _ = mixed(before, density(error - own * lasting[0], whole), touching)
         evidence[f], found["lasts"][f] = mixed(
-            found["lasts"][f], evidence[f], rows.ROW_EVIDENCE * lasts
+            found["lasts"][f], evidence[f], mixed_ripple.ROW_EVIDENCE * lasts
         )
         part = (1 - touched) * own * lasting[1] / whole
         found["lasting"][f] = [
@@ -154,10 +159,10 @@ def together(found):
     normals = [multivariate_normal(np.zeros(COUNT), np.diag(found["drawn"][0]))]
     normals += [multivariate_normal(own[f], covariance[f]) for f in (0, 2)]
     unchanged, *near = (normal.logpdf(np.zeros(COUNT)) for normal in normals)
-    ratio = rows.ROW_EVIDENCE * (np.array(near) - unchanged)
-    ratio = np.exp(np.clip(ratio, -rows.MAX_LOG_RATIO, rows.MAX_LOG_RATIO))
-    same = rows.SAME * ((1 - hangs[0]) * ratio[0] + hangs[0] * ratio[1])
-    odds = np.array([same, 1 - rows.SAME, np.exp(found["other"])])
+    ratio = mixed_ripple.ROW_EVIDENCE * (np.array(near) - unchanged)
+    ratio = np.exp(np.clip(ratio, -mixed_ripple.MAX_LOG_RATIO, mixed_ripple.MAX_LOG_RATIO))
+    same = mixed_ripple.SAME * ((1 - hangs[0]) * ratio[0] + hangs[0] * ratio[1])
+    odds = np.array([same, 1 - mixed_ripple.SAME, np.exp(found["other"])])
     same, *weights = odds / odds.sum()
     counts = np.array([weights[0], max(min(4 * weights[1] ** 2, 1.0), weights[1])])
     parts = [(same, 1.0, np.zeros(COUNT), np.zeros((COUNT, COUNT)))]
@@ -208,7 +213,7 @@ def test_a_row_is_read_as_its_equations_have_it(seed):
 def test_orders_that_were_not_learned_show_no_change():
     state, _ = drawn(2)
     s = state[0]
-    rows.mix(s)
+    mixed_ripple.mix(s)
     without = s["weights"].copy()
     for name in ("mean", "shift", "drawn", "covariance"):
         s[name][..., 4:6] = 0.0
@@ -222,10 +227,10 @@ def test_orders_that_were_not_learned_show_no_change():
     ratio -= multivariate_normal(np.zeros(len(kept)), np.diag(s["drawn"][0, kept])).logpdf(
         0 * own.mean
     )
-    rows.mix(s)
+    mixed_ripple.mix(s)
     odds = s["weights"] / (1 - s["weights"].sum())
     assert odds[0] == pytest.approx(
-        (1 - rows.SAME) / rows.SAME / math.exp(rows.ROW_EVIDENCE * ratio)
+        (1 - mixed_ripple.SAME) / mixed_ripple.SAME / math.exp(mixed_ripple.ROW_EVIDENCE * ratio)
     )
     assert not np.allclose(s["weights"], without)
 
@@ -273,9 +278,9 @@ def test_an_order_beyond_three_times_what_a_power_up_draws_begins_anew(times, hu
 def test_odds_stay_within_the_largest_ratio():
     for sign in (1.0, -1.0):
         state, parameters = drawn(3)
-        state["other"] = sign * (rows.MAX_LOG_RATIO + 20)
+        state["other"] = sign * (mixed_ripple.MAX_LOG_RATIO + 20)
         rows.read_row(state[0], parameters[0])
-        assert state["other"][0] == sign * rows.MAX_LOG_RATIO
+        assert state["other"][0] == sign * mixed_ripple.MAX_LOG_RATIO
 
 
 @pytest.mark.parametrize("other", [-20.0, 20.0])

@@ -57,25 +57,27 @@ from rigtool.experiments.force_filter.motion_states import SLIDING_DEFLECTION
 from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, TORQUE, Record
 from rigtool.experiments.force_model.drawn_ripple import learned_ripple
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_sensor import shown_ripple
-from rigtool.experiments.force_sensor.lasting_contact import HANGING, HANGS, LASTING, LASTS
-from rigtool.experiments.force_sensor.ripple_rows import (
+from rigtool.experiments.force_sensor.power_up import shown_ripple
+from rigtool.experiments.force_sensor.power_up.lasting_contact import HANGING, HANGS, LASTING, LASTS
+from rigtool.experiments.force_sensor.power_up.mixed_ripple import (
     CHANGED,
-    CONTACT,
     FILTERS,
     PARAMETERS,
     PARTS,
-    SPREAD_STEPS,
     STATE,
     WAVE_COUNT,
+    mix,
+)
+from rigtool.experiments.force_sensor.power_up.ripple_rows import (
+    CONTACT,
+    SPREAD_STEPS,
     held_steps,
     late_rows,
-    mix,
     read_row,
     renew_unfollowed,
     row_steps,
 )
-from rigtool.experiments.force_sensor.shown_ripple import show
+from rigtool.experiments.force_sensor.power_up.shown_ripple import show
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled, compiled_allocating
 

@@ -11,15 +11,13 @@ from rigtool.experiments.force_filter.plant import GRASPER, HOUSING, SPEED, STAT
 from rigtool.experiments.force_model.drawn_ripple import FOLLOWED, learned_ripple, sized_waves
 from rigtool.experiments.force_model.model import ROTOR_ORDERS, Kind, Term
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
-from rigtool.experiments.force_sensor.lasting_contact import HANGING, HANGS, LASTING, LASTS
-from rigtool.experiments.force_sensor.power_up import PowerUp
-from rigtool.experiments.force_sensor.ripple_rows import (
-    CHANGED,
+from rigtool.experiments.force_sensor.power_up.lasting_contact import HANGING, HANGS, LASTING, LASTS
+from rigtool.experiments.force_sensor.power_up.mixed_ripple import CHANGED, SAME, mix
+from rigtool.experiments.force_sensor.power_up.power_up import PowerUp
+from rigtool.experiments.force_sensor.power_up.ripple_rows import (
     CONTACT,
-    SAME,
     SPREAD_STEPS,
     late_rows,
-    mix,
     row_steps,
 )
 from tests.experiments.deploy.sensors import LEARNED, Model
