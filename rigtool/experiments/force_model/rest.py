@@ -279,7 +279,8 @@ class PredictionProblem:
             while damping < 100.0:
                 lifted = information + damping * np.diag(np.diag(information))
                 change = -np.linalg.solve(lifted, slopes.T @ (weight * left))
-                change *= min(1.0, LONGEST_PARAMETER_STEP / float(np.abs(change).max()))
+                longest = max(LONGEST_PARAMETER_STEP, float(np.abs(change).max()))
+                change *= LONGEST_PARAMETER_STEP / longest
                 there = cost(here + change)
                 sound = bool(np.all(np.isfinite(there)))
                 gained = before - float(weight @ there**2) if sound else -1.0

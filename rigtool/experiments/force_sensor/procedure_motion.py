@@ -35,7 +35,7 @@ def path_from_start(recipe: Recipe, seconds: float) -> tuple[float | None, Motio
     """Return where a motion starts, rad of the rotor, None where the rotor is, and the motion.
 
     Strokes and sine last for whole cycles, `seconds` s at least; a path as its file states. Raises
-    `RecipeError` for a file that is no path.
+    `RecipeError` for a file that is no path, and for a path that ends before `seconds` s.
     """
     settings, ratio = recipe.measure_force, recipe.rig.angle_ratio
     high, own = math.radians(settings.angle) * ratio, settings.motion
@@ -44,7 +44,14 @@ def path_from_start(recipe: Recipe, seconds: float) -> tuple[float | None, Motio
     if own.kind == "path":
         assert own.file is not None
         time, angle = path_of(Path(own.file))
-        require_time(0.0, float(time[-1] - time[0]), own.time_max)
+        lasts = float(time[-1] - time[0])
+        if lasts * (1 + AT_THE_EDGE) < seconds:
+            raise RecipeError(
+                f"{seconds:g} s are to be recorded, the path of measure_force.motion.file "
+                f"{own.file} lasts {lasts:.4g} s: give --record {lasts:.4g} at most, or a longer "
+                "path"
+            )
+        require_time(0.0, lasts, own.time_max)
         return float(angle[0]) * ratio, path(time, angle * ratio)
     if own.kind == "sine":
         require_time(0.0, 1 / own.frequency_hz, own.time_max)

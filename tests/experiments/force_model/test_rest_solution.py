@@ -127,6 +127,15 @@ def test_large_errors_count_by_their_size_and_not_by_its_square():
     assert here < 0.3 * errors.mean() / slope
 
 
+def test_motions_too_short_to_show_anything_leave_what_was_learned():
+    """Of strokes that end before the filter has settled, no error is left."""
+    own = problem()
+    own.errors = lambda parameters: np.zeros(0)
+    found = own.solution([])
+    assert_allclose(own.parameters(found), own.start)
+    assert_allclose(found.covariance, learned().covariance)
+
+
 def test_the_search_begins_at_the_best_place():
     """Errors with two valleys: the one that another begin lies in is deeper."""
     own = problem()

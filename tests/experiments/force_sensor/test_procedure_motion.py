@@ -71,6 +71,15 @@ def test_a_file_that_is_no_path_is_refused(tmp_path, text, message):
         path_of(file)
 
 
+def test_a_path_that_ends_before_the_time_to_record_is_refused(tmp_path):
+    (file := tmp_path / "path.csv").write_text("time_s,angle_deg\n0.1,20\n1.6,90\n3.1,20\n")
+    own = recipe("kind=path", f"file={file}")
+    for seconds in (2.0, 3.0):  # 3.1 - 0.1 is not quite 3
+        assert path_from_start(own, seconds)[1].duration == pytest.approx(3.0)
+    with pytest.raises(RecipeError, match=r"60 s are .*path.csv lasts 3 s: give --record 3 at"):
+        path_from_start(own, 60.0)
+
+
 def test_a_path_may_begin_with_a_byte_order_mark(tmp_path):
     (file := tmp_path / "path.csv").write_bytes(b"\xef\xbb\xbftime_s,angle_deg\r\n0,0\r\n1,90\r\n")
     np.testing.assert_allclose(path_of(file), [[0.0, 1.0], [0.0, np.pi / 2]])
