@@ -61,7 +61,9 @@ def test_the_hooks_are_the_checks_of_make_test():
     (repository,) = yaml_of(".pre-commit-config.yaml")["repos"]
     entries = {hook["entry"].replace(" --force-exclude", "") for hook in repository["hooks"]}
     recipe = (ROOT / "Makefile").read_text(encoding="utf-8").partition("\ntest:")[2]
-    checks = re.findall(r"^\t\(?\$\(BIN\)/(ruff \S+|ruff format --check|mypy)", recipe, re.MULTILINE)
+    checks = re.findall(
+        r"^\t\(?\$\(BIN\)/(ruff \S+|ruff format --check|mypy)", recipe, re.MULTILINE
+    )
     assert len(checks) == len(entries) == 3
     for check in checks:
         assert any(entry.startswith(f".venv/bin/{check}") for entry in entries), check
