@@ -133,10 +133,10 @@ def test_floats_are_off_by_less_than_a_twentieth_of_u(libraries, samples, motion
 
 
 def test_floats_raise_the_noise_for_as_many_steps_as_doubles(libraries):
-    """A weak force that swings raises it for 0.6 s each time: rounding decides no step of them."""
+    """A force that swings for long raises it for 0.6 s: rounding decides no step of them."""
     time = np.arange(round(6.0 / INTERVAL)) * INTERVAL
-    weak = np.where(time < 3.5, 2.5e-3 * np.sin(2 * np.pi * 5.0 * time), 0.0)
-    samples = moved(0.8 * np.sin(2.5 * time), weak)
+    swings = np.where(time < 4.1, 15e-3 * np.sin(2 * np.pi * 5.0 * time), 0.0)
+    samples = moved(0.8 * np.sin(2.5 * time), swings)
     wanted, found = (read(libraries[name], samples) for name in ("double", "float"))
     known = wanted[:, 4] > 0
     np.testing.assert_array_equal(found[:, 4], wanted[:, 4])
