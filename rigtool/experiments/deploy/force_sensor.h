@@ -122,7 +122,7 @@ struct rs_model {
     rs_real torque_start, bristle_start, speed_start;
     rs_real quiet_walk, slow_walk, step_walk, walk[RS_MOVING];
     rs_real short_kept, long_kept, step_threshold, slow_threshold, least_variance;
-    rs_real busy_kept, busy_time, most_busy;
+    rs_real busy_kept, busy_steps, busy_whole, most_busy;
     /* ripple of another power-up: experiments/force_sensor/power_up.py has the equations */
     rs_real wave_kept, wave_held, wave_shown, wave_slow, wave_turn;
     int wave_order[RS_FOLLOWED]; /* they rise */
@@ -189,8 +189,8 @@ struct rigtool_sensor {
     rs_real x[RS_STATES], u[RS_STATES][RS_STATES + RS_ORDER], d[RS_STATES];
     rs_real q[RS_ORDER], own[RS_ORDER][RS_ORDER]; /* of the low-pass, and their covariance */
     rs_real ripple, late, direction, step_sum, slow_sum, spread, outer_spread;
-    int step_left; /* steps at the level of a step */
-    rs_real slow_left, busy; /* time at that of a slow change; part of the time at either level */
+    int step_left, slow_left; /* steps at the level of a step, of a slow change */
+    rs_real busy;             /* part of the time at either level */
     int32_t base; /* count that the angles are from */
     int32_t counted; /* by the step before, which left this of the angle; variance 0: none yet */
     rs_real left_angle, left_variance;
@@ -683,7 +683,8 @@ static inline void rs_predicted(struct rigtool_sensor *s)
         s->step_left > 0 ? m->step_walk : s->slow_left > 0 ? m->slow_walk : m->quiet_walk;
     if (s->step_left > 0)
         s->step_left--;
-    s->slow_left -= m->step_time;
+    if (s->slow_left > 0)
+        s->slow_left--;
     for (i = RS_NOISY - 1; i >= 0; i--)
         rows.weight[i] = rs_add_walk(s, added[i], rows.other[i], RS_MOVING + i);
     rs_triangular(s, &rows);
@@ -850,8 +851,8 @@ static inline void rs_update(struct rigtool_sensor *s)
 {
     const struct rs_model *m = &rs_model;
     const rs_real edge = rs_square(m->edge * m->count);
-    rs_real own = 0, variance, shift, left, found, lasting, part[RS_STATES];
-    int j;
+    rs_real own = 0, variance, shift, left, found, part[RS_STATES];
+    int j, lasting = 0;
     for (j = 0; j < RS_STATES; j++) {
         part[j] = s->d[j] * s->u[RS_ANGLE][j];
         own += part[j] * s->u[RS_ANGLE][j];
@@ -872,11 +873,11 @@ static inline void rs_update(struct rigtool_sensor *s)
         s->busy += 1 - m->busy_kept;
     if (RS_MATH(fabs)(s->step_sum) > m->step_threshold)
         s->step_left = RS_BUSY_STEPS;
-    lasting = 0;
-    if (RS_MATH(fabs)(s->slow_sum) > m->slow_threshold)
-        lasting = m->busy_time / (1 - (s->busy < m->most_busy ? s->busy : m->most_busy));
-    else if (s->encoder != s->counted && s->idle)
-        lasting = m->busy_time; /* what moves a motor without current is the torque */
+    if (RS_MATH(fabs)(s->slow_sum) > m->slow_threshold) {
+        const rs_real most = s->busy < m->most_busy ? s->busy : m->most_busy;
+        lasting = (int)(m->busy_steps / (1 - most) + m->busy_whole);
+    } else if (s->encoder != s->counted && s->idle)
+        lasting = RS_BUSY_STEPS; /* what moves a motor without current is the torque */
     if (s->slow_left < lasting)
         s->slow_left = lasting;
     s->counted = s->encoder;
@@ -1592,7 +1593,7 @@ static inline int rs_read(struct rigtool_sensor *s)
     i = now->state <= RIGTOOL_SENSOR_WITH && s->creeps ? RS_CREEPING : (int)now->state;
     scales = rs_model.scales[i];
     /* where a load has raised the noise, the deviation holds no more than is needed */
-    if ((s->step_left == 0 && s->slow_left <= 0) || scales[0] > 1)
+    if ((s->step_left == 0 && s->slow_left == 0) || scales[0] > 1)
         variance *= rs_square(scales[0]);
     if (s->idle && variance < rs_model.open_variances[s->crawls][i])
         variance = rs_model.open_variances[s->crawls][i];

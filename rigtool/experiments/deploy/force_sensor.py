@@ -108,7 +108,7 @@ def _steps(instrument: SensorProperties) -> dict[str, int]:
         "COUNTING_STEPS": creeping.steps_of(lost_counts.COUNTING_TIME, step_time),
         "RESTED_STEPS": creeping.steps_of(creeping.RESTED_TIME, step_time),
         "SWUNG_STEPS": creeping.steps_of(creeping.LASTING_TIME, step_time),
-        "BUSY_STEPS": _lasting(model.uncertainty.busy_time, step_time),
+        "BUSY_STEPS": int(kalman.lasting_steps(model.uncertainty.busy_time, step_time)),
         "REST_STEPS": int(rests.rest_steps(step_time)),
         "ROW_STEPS": ripple_rows.row_steps(step_time),
         **dict(zip(("DRAW_FACTOR", "DRAW_ADDED", "DRAW_MODULUS"), ripple_rows.DRAW, strict=True)),
@@ -129,15 +129,6 @@ def _leap(instrument: SensorProperties) -> float:
     """Return the counts that no rotor moves by in a step."""
     own = instrument.count, instrument.reach.speed, instrument.grid.step_time
     return lost_counts.Counts(*own).largest_step
-
-
-def _lasting(left: float, step_time: float) -> int:
-    """Return the number of steps after which a time, s, is over."""
-    steps = 0
-    while left > 0:
-        left -= step_time
-        steps += 1
-    return steps
 
 
 def _drive(instrument: SensorProperties) -> dict[str, Number]:
@@ -186,7 +177,8 @@ def _filter(instrument: SensorProperties) -> dict[str, Number]:
         "long_kept": math.exp(-span / kalman.LONG),
         "busy_kept": math.exp(-span / kalman.BUSY_MEMORY),
         "most_busy": kalman.MOST_BUSY,
-        "busy_time": own.busy_time,
+        "busy_steps": own.busy_time / span,
+        "busy_whole": 1 - kalman.ROUNDING,
         "step_threshold": kalman.STEP_THRESHOLD,
         "slow_threshold": kalman.SLOW_THRESHOLD,
         "least_variance": kalman.LEAST_VARIANCE,

@@ -82,6 +82,9 @@ FIRST_GAIN = 3
 OUTPUTS = FIRST_GAIN + len(FOLLOWED)
 """Columns of the outputs: the first gain, and how many there are."""
 
+ROUNDING = 1e-3
+"""Part of a step by which a time may be longer than whole steps: rounding does not decide."""
+
 LEAST_VARIANCE = 1e-3
 """Smallest variance of the angle after an update, relative to before: it stays positive."""
 
@@ -92,7 +95,7 @@ STATE = np.dtype(
         ("covariance", "f8", (passed.JOINT_STATES, ROW_LENGTH)),
         ("passed", "f8", (passed.LOW_PASS_ORDER,)),
         ("direction", "f8"),
-        # of a step and of a slow change: leaky sum of corrections, time left at its level
+        # of a step and of a slow change: leaky sum of corrections, steps left at its level
         ("step_sum", "f8"),
         ("step_left", "f8"),
         ("slow_sum", "f8"),
@@ -170,6 +173,12 @@ def begin(
 
 
 @compiled
+def lasting_steps(time: float, span: float) -> float:
+    """Return the number of steps of `span` s that a `time` lasts, s."""
+    return math.ceil(time / span - ROUNDING)
+
+
+@compiled
 def _level(s: Record) -> float:
     """Return the level of the torque's noise: 0 quiet, 1 a slow change, 2 a step."""
     return 2.0 if s.step_left > 0.0 else 1.0 if s.slow_left > 0.0 else 0.0
@@ -213,8 +222,8 @@ def _predict(
         walk = u.step_torque_rate
     elif level > 0.0:
         walk = u.slow_torque_rate
-    s.step_left -= span
-    s.slow_left -= span
+    s.step_left -= 1.0
+    s.slow_left -= 1.0
     rows[at(TORQUE, TORQUE)] += walk * walk * span
     rows[at(ANGLE, ANGLE)] += u.angle_rate**2 * span
     rows[at(SPEED, SPEED)] += u.speed_rate**2 * span
@@ -286,11 +295,12 @@ def _update(
     s.slow_sum = memory[1] * s.slow_sum + mean * span
     s.busy = memory[2] * s.busy + (1.0 - memory[2]) * (1.0 if _level(s) > 0.0 else 0.0)
     if abs(s.step_sum) > STEP_THRESHOLD:
-        s.step_left = u.busy_time
+        s.step_left = lasting_steps(u.busy_time, span)
     if abs(s.slow_sum) > SLOW_THRESHOLD:
-        s.slow_left = max(s.slow_left, u.busy_time / (1.0 - min(s.busy, MOST_BUSY)))
+        time = u.busy_time / (1.0 - min(s.busy, MOST_BUSY))
+        s.slow_left = max(s.slow_left, lasting_steps(time, span))
     if low != s.low and idle:
-        s.slow_left = max(s.slow_left, u.busy_time)
+        s.slow_left = max(s.slow_left, lasting_steps(u.busy_time, span))
     s.low, s.angle = low, x[ANGLE]
     s.variance = rows[at(ANGLE, ANGLE)] + (u.edge * width) ** 2
     return shift / variance, weight, variance

@@ -132,6 +132,17 @@ def test_floats_are_off_by_less_than_a_twentieth_of_u(libraries, samples, motion
     assert (off[:, 1] < 0.02 * u).all()
 
 
+def test_floats_raise_the_noise_for_as_many_steps_as_doubles(libraries):
+    """A force that swings for long raises it for 0.6 s: rounding decides no step of them."""
+    time = np.arange(round(6.0 / INTERVAL)) * INTERVAL
+    swings = np.where(time < 4.1, 15e-3 * np.sin(2 * np.pi * 5.0 * time), 0.0)
+    samples = moved(0.8 * np.sin(2.5 * time), swings)
+    wanted, found = (read(libraries[name], samples) for name in ("double", "float"))
+    known = wanted[:, 4] > 0
+    np.testing.assert_array_equal(found[:, 4], wanted[:, 4])
+    np.testing.assert_allclose(found[known, 1], wanted[known, 1], rtol=5e-3)
+
+
 def test_blocks_and_begins_change_nothing(libraries, samples):
     library, part = libraries["double"], samples["free"][:, :9001]
     whole = read(library, part)
