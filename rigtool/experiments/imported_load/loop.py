@@ -63,8 +63,9 @@ class StrokeLoop:
         known = np.isfinite(apart) & (self.shape > 0)
         if known.sum() < FEWEST_CELLS or not self.offset > 0:
             return math.nan, math.nan, math.nan
-        offset = float(np.mean(apart[known]))
-        shape = float(np.sqrt(np.mean(((apart - offset) / self.shape)[known] ** 2)))
+        apart = apart[known]
+        offset = float(np.mean(apart))
+        shape = float(np.sqrt(np.mean(((apart - offset) / self.shape[known]) ** 2)))
         changing = float(np.mean(_changing(place, rising, torque)[known]))
         return offset / self.offset, shape, math.sqrt(1 + changing / self.offset**2)
 

@@ -58,6 +58,11 @@ def test_the_factor_is_that_with_the_least_score(count, expected, spread):
     assert _factor(errors, expected) == pytest.approx(least_factor(errors, expected), rel=2e-3)
 
 
+def test_errors_of_zero_leave_the_least_factor():
+    """More of them than are expected: no c, however small, has 95 % within its interval."""
+    assert _factor(np.zeros(5000), 2.0) == FACTORS[0]
+
+
 def mean_share(errors, loads, factor):
     shares = np.linspace(0, 0.3, 1501)
     scores = [_score(errors, np.sqrt(factor**2 + (g * loads) ** 2)) for g in shares]

@@ -72,9 +72,9 @@ def test_a_file_that_is_no_path_is_refused(tmp_path, text, message):
 
 
 def test_a_path_that_ends_before_the_time_to_record_is_refused(tmp_path):
-    (file := tmp_path / "path.csv").write_text("time_s,angle_deg\n0.1,20\n1.6,90\n3.1,20\n")
+    (file := tmp_path / "path.csv").write_text("time_s,angle_deg\n1.1,20\n2.6,90\n4.1,20\n")
     own = recipe("kind=path", f"file={file}")
-    for seconds in (2.0, 3.0):  # 3.1 - 0.1 is not quite 3
+    for seconds in (2.0, 3.0):  # 4.1 - 1.1 is not quite 3
         assert path_from_start(own, seconds)[1].duration == pytest.approx(3.0)
     with pytest.raises(RecipeError, match=r"60 s are .*path.csv lasts 3 s: give --record 3 at"):
         path_from_start(own, 60.0)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -114,6 +115,25 @@ def test_a_load_under_which_the_rotor_does_not_slide_is_not_read(sliding, unload
     assert isinstance(slow, InsufficientDataError)
     assert "slides evenly in 0 rows of a stroke" in str(slow)
     assert found.moment == pytest.approx(0.02, rel=0.01)
+
+
+@pytest.mark.parametrize(("rows", "refused"), [(4, True), (5, False)])
+def test_a_load_and_three_levels_of_friction_need_more_rows_than_they_are(rows, refused):
+    record = SimpleNamespace(used=np.arange(9) < rows)
+    if not refused:
+        reading._require_sliding(record)
+        return
+    with pytest.raises(InsufficientDataError, match="evenly in 4 rows of a stroke, more than 4"):
+        reading._require_sliding(record)
+
+
+def test_levels_of_friction_change_with_the_output_s_angle():
+    """A mean and an eccentricity of any phase, in the direction of motion."""
+    way, output = np.array([1.0, -1.0, 0.5]), np.array([0.2, 1.1, 2.0])
+    record = SimpleNamespace(angle=0.7 * output, rows=lambda values: values[:, 1:])
+    own = SimpleNamespace(record=record, housing=way, known=SimpleNamespace(angle_ratio=0.7))
+    expected = way[1:] * [[1, 1], np.sin(output[1:]), np.cos(output[1:])]
+    np.testing.assert_allclose(reading._own(own), expected, rtol=1e-12)
 
 
 def of_another_power_up(found):

@@ -34,7 +34,6 @@ Contacts that come and go look like one as well: where another power-up's ripple
 probability of 0.1 makes the intervals' score up to 7 % larger (six development rigs), and with
 0.005 a contact that does last is taken for ripple (intervals hold in 33 %)."""
 
-
 HANGS, HANGING = 0.2, (10.0, 10.0, 5.0)
 """Probability, before anything is seen, that a load hangs all the time; and deviations of c1, c2
 and c0, in deviations of a stroke.

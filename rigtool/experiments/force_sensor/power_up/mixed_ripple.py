@@ -133,12 +133,10 @@ def _same(s: Record, f: int) -> float:
     root, left = np.zeros((WAVE_COUNT, WAVE_COUNT)), np.zeros(WAVE_COUNT)
     total = 0.0
     for i in range(WAVE_COUNT):
-        drawn = s.drawn[0, i]
-        if drawn <= 0.0:  # no such order
-            continue
         left[i] = _expected(s, f, i)
         for j in range(i + 1):
-            if s.drawn[0, j] <= 0.0:
+            drawn = s.drawn[0, j]
+            if drawn <= 0.0:  # no such order
                 continue
             own = s.covariance[f, i, j]
             for k in range(j):

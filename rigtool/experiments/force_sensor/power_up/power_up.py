@@ -85,7 +85,7 @@ from rigtool.numerics.compiled import compiled, compiled_allocating
 class PowerUp:
     """Follows the ripple of a recording without a gap; steps are added as they come.
 
-    Both methods return what ripple adds to the torque on the output after each of m steps, its
+    `add` and `whole` return what ripple adds to the torque on the output after each of m steps, its
     variance, N m and N2 m2, and what it takes off the drive torque, N m, not low-passed.
     """
 

@@ -12,7 +12,7 @@ from rigtool.experiments.force_model.drawn_ripple import FOLLOWED, learned_rippl
 from rigtool.experiments.force_model.model import ROTOR_ORDERS, Kind, Term
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.experiments.force_sensor.power_up.lasting_contact import HANGING, HANGS, LASTING, LASTS
-from rigtool.experiments.force_sensor.power_up.mixed_ripple import CHANGED, SAME, mix
+from rigtool.experiments.force_sensor.power_up.mixed_ripple import CHANGED, PARTS, SAME, mix
 from rigtool.experiments.force_sensor.power_up.power_up import PowerUp
 from rigtool.experiments.force_sensor.power_up.ripple_rows import (
     CONTACT,
@@ -206,11 +206,13 @@ def test_each_step_gives_mean_and_variance_of_what_is_known():
     taken = 1e-3 * rng.standard_normal(size)
     angle = 0.4 + 0.1 * np.cumsum(rng.uniform(0, 1, size))
     states, current = np.zeros((size, STATES)), rng.uniform(-0.5, 1, size)
-    states[:, SPEED] = 3.0
+    states[:, SPEED], states[:, HOUSING] = 3.0, rng.choice([0.5, 0.95], size)
+    states[:, TORQUE], states[:, GRASPER] = 1e-3 * rng.standard_normal(size), angle / 0.85
     drive = np.column_stack([0.045 * current, current])
     learned = learned_ripple(model)
     orders, means, held = np.repeat(learned.orders, 2), [], 0.0
     by_order = s["unfollowed"].copy()  # at rest, until a row is full
+    row = np.zeros(PARTS)
     for k in range(size):
         ripple, variance, less, unfollowed, grown = own.add(
             angle[[k]], states[[k]], 0.01 * np.ones((1, 6)), drive[[k]], taken[[k]]
@@ -224,12 +226,16 @@ def test_each_step_gives_mean_and_variance_of_what_is_known():
         by = (0.045 * current[k]) ** 2 * grows / learned.drawn.sum()
         assert_allclose(grown, [math.sqrt(by)])
         *seen, left = factor * s["seen"]
+        torque, output = states[k, [TORQUE, GRASPER]]
+        row += [*seen, torque + left, np.cos(output), np.sin(output), 1.0]
         if (k + 1) % SPREAD_STEPS == 0:
             held = seen @ covariance @ seen
         assert_allclose(variance, held * (1 + 2 * grown) + 0.6 * unfollowed)
         assert_allclose(less, before @ s["known"])
         means.append(seen @ s["known"] - left)
         assert_allclose(ripple[0], lfilter(*butter(2, 10.0, fs=1 / step), means)[-1])
+    assert_allclose(s["row"], row / 100)
+    assert s["slid"] == np.count_nonzero(states[:, HOUSING] > 0.9)
     # again, from the whole recording: as ripple is, behind no filter that shows it
     again, variance, less = own.whole(angle, np.zeros(size))
     waves, kept = np.zeros(count), math.exp(-step / LEARNED.shape.ripple_time)
@@ -239,3 +245,23 @@ def test_each_step_gives_mean_and_variance_of_what_is_known():
         assert_allclose(again[k], factor * waves @ s["known"])
         assert_allclose(less[k], again[k] / factor)
         assert_allclose(variance[k], factor**2 * waves @ covariance @ waves)
+
+
+@pytest.mark.parametrize("other", [0.0, 0.7])
+def test_what_is_known_is_taken_off_once_a_row_has_shown_something(other):
+    own = PowerUp(covaried(), 1e-3, 10.0)
+    s, states = own._state[0], np.zeros((1, STATES))
+    s["held_steps"], s["other"], s["length"] = own.steps_ahead - 1, other, 100.0  # no row is full
+    assert s["known"].any()
+    own.add(np.ones(1), states, np.zeros((1, 6)), np.zeros((1, 2)), np.zeros(1))
+    assert_allclose(s["held"], s["known"] if other else 0.0)
+    assert s["held_steps"] == 0
+
+
+def test_what_is_not_followed_lags_by_the_speed_of_the_last_row():
+    own = PowerUp(covaried(), 1e-3, 10.0)
+    s, states = own._state[0], np.zeros((1, STATES))
+    s["length"], states[:, SPEED] = 1.0, -3.0
+    own.add(np.ones(1), states, np.zeros((1, 6)), np.zeros((1, 2)), np.zeros(1))
+    gain = np.abs(1 / (1 + 1j * np.array(ROTOR_ORDERS) * 3.0 * LEARNED.shape.ripple_time))
+    assert_allclose(s["unfollowed"], gain**2 @ learned_ripple(covaried()).unfollowed)

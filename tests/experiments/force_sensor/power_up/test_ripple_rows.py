@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal, norm
 
+from rigtool.experiments.force_model.model import ROTOR_ORDERS
 from rigtool.experiments.force_sensor.power_up import mixed_ripple
 from rigtool.experiments.force_sensor.power_up import ripple_rows as rows
 from rigtool.experiments.force_sensor.power_up.lasting_contact import (
@@ -235,6 +236,35 @@ def test_orders_that_were_not_learned_show_no_change():
     assert not np.allclose(s["weights"], without)
 
 
+def test_no_change_is_likelier_by_the_largest_ratio_at_most():
+    """Where rows have shown that nothing has changed: the other hypothesis may be as likely."""
+    s = drawn(2)[0][0]
+    s["covariance"], s["mean"], s["lasting"] = SIZE**2 * 1e-8 * np.eye(PARTS), 0.0, 0.0
+    s["other"] = mixed_ripple.MAX_LOG_RATIO
+    mixed_ripple.mix(s)
+    assert s["weights"][1] == pytest.approx(1 / (1 + mixed_ripple.SAME))
+
+
+def test_variances_that_rounding_takes_below_zero_leave_weights():
+    s = drawn(2)[0][0]
+    way = np.append(SIZE * np.linspace(0.3, 1.1, COUNT), np.zeros(PARTS - COUNT))
+    s["covariance"] = (1 - 1e-15) * np.outer(way, way)
+    s["covariance"][:, 0, 0] = way[0] ** 2
+    mixed_ripple.mix(s)
+    assert np.isfinite(s["weights"]).all()
+    assert np.isfinite(s["doubt"]).all()
+
+
+def test_orders_that_are_not_followed_lag_by_their_frequency():
+    """Squares of first-order lags at the speed, of each of the sums."""
+    state, parameters = drawn(0)
+    p, square = parameters[0], np.random.default_rng(0).uniform(1, 2, (len(ROTOR_ORDERS), 4))
+    p["lag_time"], p["unfollowed"] = 0.05, square
+    rows.renew_unfollowed(state[0], p, -3.0)
+    gain = np.abs(1 / (1 + 1j * np.array(ROTOR_ORDERS) * -3.0 * 0.05))
+    assert_allclose(state[0]["unfollowed"], gain**2 @ square)
+
+
 def test_a_row_in_which_the_motion_turns_back_is_not_read():
     state, parameters = drawn(1, slides=False)
     expected = begun(state[0], after_time(state[0], False))
@@ -273,6 +303,20 @@ def test_an_order_beyond_three_times_what_a_power_up_draws_begins_anew(times, hu
     for name in KEPT[: 2 if hung else 4]:
         assert_allclose(s[name + "s"][one], [s[name][one]] * 2)
     assert hung or not s["shift"][1, waves].any()
+
+
+@pytest.mark.parametrize("one", [1, 3])
+def test_a_filter_that_begins_anew_leaves_the_evidence_of_the_likelier_one(one):
+    state, parameters = drawn(0)
+    s = state[0]
+    s["covariance"] = 1e-9 * np.diag(s["drawn"][0, 0] * np.ones(PARTS))
+    s["mean"], s["mean"][one, 0] = 0.0, 10 * SIZE
+    s["row"][:], s["other"], s["proven"] = 0.0, 30.0, 29.0
+    s["hangs"] = 0.001 if one == 3 else 0.999
+    rows.read_row(s, parameters[0])
+    assert_allclose(s["mean"][one, :COUNT], s["expected"][1])
+    assert s["other"] > 20
+    assert s["proven"] > 28
 
 
 def test_odds_stay_within_the_largest_ratio():
@@ -331,16 +375,35 @@ def test_what_is_known_is_kept_every_so_many_rows(since, moved):
         assert_allclose(s[name + "s"], now, err_msg=name)
 
 
-def test_a_row_that_is_surely_touched_leaves_the_ripple_alone():
+@pytest.mark.parametrize("f", [0, 2])
+@pytest.mark.parametrize(("untouched", "counts"), [(0.9e-6, False), (1.1e-6, True)])
+def test_a_row_that_is_surely_touched_leaves_the_ripple_alone(f, untouched, counts):
     state, parameters = drawn(0)
+    s, p = state[0], parameters[0]
+    before, shift = s["mean"].copy(), s["shift"].copy()
+    mean, covariance, seen = s["mean"][f], s["covariance"][f], np.array(s["row"])
+    value, seen[M] = seen[M], 1.0
+    alone = density(value - seen @ mean, seen @ covariance @ seen + (rows.NOISE * SIZE) ** 2)
+    odds = s["touched"][f] / (1 - s["touched"][f]) * untouched
+    rows._by_ripple(s, p, f, alone - math.log(odds))
+    assert 1 - s["touched"][f] == pytest.approx(untouched, rel=1e-5)
+    changed = np.array_equal(s["mean"], before), np.array_equal(s["shift"], shift)
+    assert changed == (not counts, not (counts and f < 2))
+
+
+@pytest.mark.parametrize(("f", "h"), [(0, 0), (1, 1), (2, 0), (3, 1)])
+@pytest.mark.parametrize("likelier", [True, False])
+def test_a_contact_is_recognised_where_both_hypotheses_see_it(f, h, likelier):
+    """Each by its filters with and without a load that hangs, of which one explains the row."""
+    state, parameters = drawn(4)
     s = state[0]
-    s["row"][M] = 300 * SIZE
-    for name in KEPT:
-        s[name + "s"][:] = s[name][:, None]
-    expected = after_time(s, True)
+    s["row"][M], s["mean"][f, M], s["other"], s["proven"] = 60 * SIZE, 60 * SIZE, 30.0, 0.0
+    s["hangs"][h] = 1 - 1e-5 if likelier == (f > 1) else 1e-5
     rows.read_row(s, parameters[0])
-    assert s["touched"].min() > 1 - rows.MIN_UNTOUCHED_PROBABILITY
-    assert_allclose(s["mean"][:, :COUNT], expected["mean"][:, :COUNT], rtol=1e-12)
+    sees = s["touched"] > rows.RECOGNISED
+    assert_allclose(sees, np.arange(4) != f)
+    assert s["proven"] == pytest.approx(MOST if likelier else 0.0)
+    assert (s["other"] == 0) != likelier
 
 
 @pytest.mark.parametrize(
