@@ -73,7 +73,8 @@ def tune(learned: Row, others: Sequence[Row]) -> Tuning:
     wave = _orders(learned.mean)
     found: dict[float, tuple[float, ...]] = {learned.speed: (1.0, 0.0, 0.0, 0.0, 1.0, math.inf)}
     near = {True: 0.0, False: 0.0}  # the shift before, at faster and at slower speeds
-    for row in sorted(others, key=lambda row: abs(row.speed - learned.speed)):
+    apart = [row for row in others if row.speed != learned.speed]
+    for row in sorted(apart, key=lambda row: abs(row.speed - learned.speed)):
         faster = row.speed > learned.speed
         found[row.speed] = _fit(wave, row, near[faster])
         near[faster] = found[row.speed][2]

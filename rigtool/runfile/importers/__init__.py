@@ -203,7 +203,7 @@ def _import_file(
     found, missing = unchanged_parts(source, raw, known)
     channels = _channels(signals, known)
     several = [f"{schema.IMPORTED}_{number:03d}" for number in range(len(found))]
-    names = several if len(found) > 1 else [schema.IMPORTED]
+    names = [schema.IMPORTED] if len(found) == 1 else several
     specs = [
         RecordingSpec(name, channels, part.conditions)
         for name, part in zip(names, found, strict=True)

@@ -70,6 +70,12 @@ def test_shifts_are_followed_from_speed_to_speed():
     np.testing.assert_allclose(found.shift, shifts, rtol=0, atol=0.02)
 
 
+def test_the_map_stays_where_its_speed_was_recorded_again():
+    found = tune(row(6.0, noise=0.0), [row(6.0, 0.8, 0.2), row(12.0, 0.9, 0.1, noise=0.0)])
+    assert (found.speed.tolist(), found.amplitude[0]) == ([6.0, 12.0], 1.0)
+    assert (found.shift[0], found.shift[1]) == (0.0, pytest.approx(0.1, rel=0, abs=1e-9))
+
+
 @pytest.mark.parametrize("amplitude", [0.0, -0.5])
 def test_what_does_not_repeat_is_not_compensated(amplitude):
     """Zero where nothing like the map is there; a map upside down is another map, shifted."""
