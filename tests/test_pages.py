@@ -202,6 +202,22 @@ def test_the_start_page_runs(folder, capsys, monkeypatch):
     assert (folder / "report" / "index.html").is_file()
 
 
+def test_the_start_page_reads_an_unknown_force(folder, capsys, monkeypatch, tmp_path_factory):
+    drawn = "rigtool.report.figures.style.render_figure"
+    monkeypatch.setattr(drawn, lambda figure: ("<svg/>", b"\x89PNG"))
+    shutil.copy("recipes/briaire-2006.toml", "rig.toml")
+    shutil.copy(ROOT / "tests" / "fixtures" / "kt.h5", folder)
+    (lines,) = section("docs/start.md", "Read an unknown force")
+    learn, read, report = calls(lines, folder)
+    assert " ".join(learn) == LINE.format(recipe="rig.toml", kt="kt.h5", tables="loads.h5")
+    learned_loads(tmp_path_factory, folder / "loads.h5")
+    run(read, capsys)
+    with rigtool.open(folder / "unknown.h5") as unknown:
+        assert np.isfinite(unknown.results["coverage_95"].value)
+    run(report, capsys)
+    assert (folder / "report-unknown" / "index.html").is_file()
+
+
 def test_the_lines_that_the_start_page_batches_are_commands(folder):
     batches = calls("\n".join(section("docs/start.md", "Many small runs")), folder)
     assert batches == [["batch", "lines.txt", "-j", "2"]]

@@ -123,7 +123,7 @@ struct rs_model {
     rs_real quiet_walk, slow_walk, step_walk, walk[RS_MOVING];
     rs_real short_kept, long_kept, step_threshold, slow_threshold, least_variance;
     rs_real busy_kept, busy_steps, busy_whole, most_busy;
-    /* ripple of another power-up: experiments/force_sensor/power_up.py has the equations */
+    /* ripple of another power-up: experiments/force_sensor/power_up/power_up.py has them */
     rs_real wave_kept, wave_held, wave_shown, wave_slow, wave_turn;
     int wave_order[RS_FOLLOWED]; /* they rise */
     /* lag, and what is not followed by order: square, and squares by powers of the current */
@@ -248,6 +248,12 @@ static inline rs_real rs_within(rs_real value, rs_real limit)
 static inline int rs_finite(rs_real value)
 {
     return value - value >= 0;
+}
+
+/* Counts from one to another, across an overflow, too. */
+static inline int32_t rs_from(int32_t to, int32_t from)
+{
+    return (int32_t)((uint32_t)to - (uint32_t)from);
 }
 
 /* -- the drive ------------------------------------------------------------------------------- */
@@ -650,7 +656,7 @@ static inline void rs_ahead(struct rigtool_sensor *s)
 /* Count the steps within two counts; whether a rest has lasted, or ends. */
 static inline int rs_limits_rest(struct rigtool_sensor *s)
 {
-    const int32_t moved = (int32_t)((uint32_t)s->encoder - (uint32_t)s->counted);
+    const int32_t moved = rs_from(s->encoder, s->counted);
     const int up = s->rested_up, down = s->rested_down, before = up > down ? up : down;
     int after;
     s->rested_up = moved == 0 ? up + 1 : moved == -1 ? down + 1 : 0;
@@ -756,12 +762,6 @@ static inline rs_real rs_truncated(rs_real alpha, rs_real beta, rs_real *varianc
     return sign * mean;
 }
 
-/* Counts from one to another, across an overflow, too. */
-static inline int32_t rs_from(int32_t to, int32_t from)
-{
-    return (int32_t)((uint32_t)to - (uint32_t)from);
-}
-
 /* Angles are from now on from another count. */
 static inline void rs_rebase(struct rigtool_sensor *s, int32_t count)
 {
@@ -836,14 +836,9 @@ static inline void rs_narrow(struct rigtool_sensor *s, rs_real edge, rs_real var
         for (j = 0; j < RS_ORDER; j++)
             s->u[i][RS_STATES + j] -= column[i] * shared_weight[j];
     }
-    for (i = RS_BRISTLE; i <= RS_TIP; i++) {
-        if (i == RS_GRASPER || i == RS_GRASPER_SPEED)
-            continue;
-        if (s->x[i] > 1)
-            s->x[i] = 1;
-        if (s->x[i] < -1)
-            s->x[i] = -1;
-    }
+    s->x[RS_BRISTLE] = rs_within(s->x[RS_BRISTLE], 1);
+    s->x[RS_HOUSING] = rs_within(s->x[RS_HOUSING], 1);
+    s->x[RS_TIP] = rs_within(s->x[RS_TIP], 1);
 }
 
 /* Take in that the angle lies within its count. */
@@ -1172,10 +1167,8 @@ static inline void rs_mix(struct rigtool_sensor *s)
     rs_real same = 0, near = 1 - m->row_same, other;
     int j, k;
     for (k = 0; k < RS_FILTERS; k += 2) {
-        rs_real ratio = m->row_evidence * rs_same(&s->filters[k]);
-        ratio = ratio > m->row_certain ? m->row_certain
-            : ratio < -m->row_certain ? -m->row_certain : ratio;
-        same += m->row_same * rs_share(s, k) * RS_MATH(exp)(ratio);
+        const rs_real ratio = m->row_evidence * rs_same(&s->filters[k]);
+        same += m->row_same * rs_share(s, k) * RS_MATH(exp)(rs_within(ratio, m->row_certain));
     }
     other = RS_MATH(exp)(s->other);
     s->weights[0] = near / (same + near + other);
@@ -1207,10 +1200,7 @@ static inline void rs_take(struct rigtool_sensor *s)
         likely = rs_counted(&s->hangs[k], likely, hung);
         s->other += k ? likely : -likely;
     }
-    if (s->other > m->row_certain)
-        s->other = m->row_certain;
-    if (s->other < -m->row_certain)
-        s->other = -m->row_certain;
+    s->other = rs_within(s->other, m->row_certain);
     for (k = 1; k < RS_FILTERS; k += 2) {
         const rs_real *beta = &s->filters[k].known.mean[RS_WAVE];
         for (j = 0; j < RS_WAVES; j += 2) {
@@ -1225,12 +1215,10 @@ static inline void rs_take(struct rigtool_sensor *s)
         const rs_real without = s->filters[k].touched;
         touched[k] = without + s->hangs[k] * (s->filters[k + 2].touched - without);
     }
-    if (touched[0] > m->row_recognised && touched[1] > m->row_recognised) {
+    if (touched[0] > m->row_recognised && touched[1] > m->row_recognised)
         s->other = s->proven;
-    } else {
-        const rs_real more = s->other - s->proven, most = m->row_ends;
-        s->proven += more > most ? most : more < -most ? -most : more;
-    }
+    else
+        s->proven += rs_within(s->other - s->proven, m->row_ends);
     for (k = 0; k < RS_FILTERS; k++)
         rs_take_back(&s->filters[k]);
 }

@@ -366,7 +366,7 @@ def run(
         moved, informed, before = _update(s, u, rows, low[k], width, span, memory, idle[k], gain)
         for i in range(STATES):
             means[k, i] = s.mean[i]
-        mean, spread = passed.output(s.mean, s.passed, rows, low_pass, shared, 0)
+        mean, spread = passed.output(s.mean, s.passed, rows, low_pass, shared)
         outputs[k, 0], outputs[k, 1] = mean, math.sqrt(max(spread, 0.0))
         outputs[k, 2] = _level(s)
         for i in range(len(FOLLOWED)):

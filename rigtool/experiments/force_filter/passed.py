@@ -71,21 +71,19 @@ def predict(q: Array, rows: Array, low_pass: Array, torque: float) -> None:
 
 
 @compiled
-def output(
-    x: Array, q: Array, rows: Array, low_pass: Array, shared: Array, first: int
-) -> tuple[float, float]:
-    """Return mean and variance of y; `shared` (n,) receives, from `first`, that of y and x."""
+def output(x: Array, q: Array, rows: Array, low_pass: Array, shared: Array) -> tuple[float, float]:
+    """Return mean and variance of y; `shared` (12,) receives the covariance of y and x."""
     a, b, d = (
         low_pass[LOW_PASS_ORDER, 0],
         low_pass[LOW_PASS_ORDER, 1],
         low_pass[LOW_PASS_ORDER, LOW_PASS_ORDER],
     )
     for n in range(STATES):
-        shared[first + n] = (
+        shared[n] = (
             a * rows[FIRST_OF_Q + n] + b * rows[FIRST_OF_Q + ROW_LENGTH + n] + d * rows[M + n]
         )
     mean = a * q[0] + b * q[1] + d * x[TORQUE]
-    variance = d * shared[first + TORQUE]
+    variance = d * shared[TORQUE]
     for i in (STATES, STATES + 1):
         weight = a if i == STATES else b
         variance += weight * (

@@ -17,7 +17,6 @@ both ends of all strokes cannot be told from an inertia.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -26,12 +25,11 @@ import numpy as np
 
 from rigtool.experiments.force_sensor.unknown_inertia import (
     FEWEST_TURNS,
-    LARGE_PART,
-    LARGE_QUANTILE,
     LONGEST_STEP,
     SHOWN_HZ,
     TYPICAL_OVER_U,
     UnknownInertia,
+    changes_of_speed,
 )
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.lowpass import lowpass
@@ -77,24 +75,19 @@ class CommandedTurns:
         asked = np.gradient(speed, step_time)
         moves = np.abs(speed) > MOVES * np.abs(speed).max()
         friction = lowpass(1 / step_time, np.where(moves, np.sign(speed), 0.0), SHOWN_HZ)
-        least = LARGE_PART * np.quantile(np.abs(asked), LARGE_QUANTILE)
-        side = np.where(np.abs(asked) > least, np.sign(asked), 0.0)
-        edges = np.flatnonzero(np.diff(side, prepend=0.0, append=0.0)).tolist()
-        rows, place = np.arange(len(side)), np.linspace(-1, 1, POINTS)
+        rows, place = np.arange(len(known)), np.linspace(-1, 1, POINTS)
         largest, own_u, windows = [], [], []
-        for first, last in itertools.pairwise(edges):
-            at = (first + last - 1) / 2 + reach * place
+        for change, sign in changes_of_speed(asked):
+            at = (change.start + change.stop - 1) / 2 + reach * place
             about = slice(math.floor(at[0]), math.ceil(at[-1]) + 1)
-            if not side[first] or about.start < 0 or about.stop > len(side):
-                continue
-            if not known[about].all():
+            if about.start < 0 or about.stop > len(known) or not known[about].all():
                 continue
             every = asked, shown, friction
             *own, turns = (np.interp(at, rows[about], one[about]) for one in every)
             held, window = np.stack([np.ones(POINTS), place, turns], axis=1), np.stack(own, axis=1)
             windows.append((window - held @ np.linalg.lstsq(held, window)[0]).T)
-            largest.append(side[first] * np.abs(asked[first:last]).max())
-            own_u.append(u[first:last].mean())
+            largest.append(sign * np.abs(asked[change]).max())
+            own_u.append(u[change].mean())
         return cls(np.array(largest), np.array(own_u), np.reshape(windows, (-1, 2, POINTS)))
 
 

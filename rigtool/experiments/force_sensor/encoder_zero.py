@@ -126,19 +126,7 @@ def encoder_zero(
     direction, torque, speed = direction[chosen], torque[chosen], speed[chosen]
     search = _Search(model, reach, direction, torque, speed)
     doubted = DOUBTED * float(np.nanmedian(np.vstack([part.u for part in parts])))
-    step = 2 * FARTHEST * (reach[1] - reach[0]) / (PLACES - 1)
-    places = step * (np.arange(PLACES) - PLACES // 2)
-    logs = np.array([search.odds(place) for place in places])
-    unmoved = logs[PLACES // 2] + math.log(UNMOVED)
-    best = places[np.argmax(logs)]
-    far = np.abs(places - best) > 2.001 * step
-    near = best + step * ((np.arange(5 * PARTS) + 0.5) / PARTS - 2.5)
-    fine = [search.odds(place) - math.log(PARTS) for place in near]
-    places, logs = np.concatenate([places[far], near]), np.concatenate([logs[far], fine])
-    logs += math.log((1 - UNMOVED) / PLACES)
-    odds = np.exp(logs - logs.max())
-    unmoved = 1 / (1 + odds.sum() * math.exp(np.clip(logs.max() - unmoved, -100, 100)))
-    odds /= odds.sum()
+    places, odds, unmoved = _tried(search, reach[1] - reach[0])
     mean = float(odds @ places)
     moved, u = count * round(mean / count), math.sqrt(odds @ (places - mean) ** 2)
     if moved == 0 or unmoved > 1 - CERTAIN or u > LARGEST_U * (reach[1] - reach[0]):
@@ -157,6 +145,24 @@ def encoder_zero(
     torques = np.array([search.mean(place) for place in places])
     off = float(np.sqrt(np.mean(odds @ (torques - search.mean(moved)) ** 2)))
     return EncoderZero(moved, u, off)
+
+
+def _tried(search: _Search, span: float) -> tuple[Array, Array, float]:
+    """Return the zeros that are tried in a learned range of `span` rad, closer about the best, (k,)
+    rad; their probabilities (k,) if the zero is another one; and the probability that it is not."""
+    step = 2 * FARTHEST * span / (PLACES - 1)
+    places = step * (np.arange(PLACES, dtype=np.float64) - PLACES // 2)
+    logs = np.array([search.odds(place) for place in places])
+    unmoved = logs[PLACES // 2] + math.log(UNMOVED)
+    best = places[np.argmax(logs)]
+    far = np.abs(places - best) > 2.001 * step
+    near = best + step * ((np.arange(5 * PARTS) + 0.5) / PARTS - 2.5)
+    fine = [search.odds(place) - math.log(PARTS) for place in near]
+    places, logs = np.concatenate([places[far], near]), np.concatenate([logs[far], fine])
+    logs += math.log((1 - UNMOVED) / PLACES)
+    odds = np.exp(logs - logs.max())
+    unmoved = 1 / (1 + odds.sum() * math.exp(np.clip(logs.max() - unmoved, -100, 100)))
+    return places, odds / odds.sum(), unmoved
 
 
 class _Search:

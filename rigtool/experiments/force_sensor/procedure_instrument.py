@@ -17,6 +17,7 @@ from rigtool.experiments.force_sensor.unknown_friction import (
     FEWEST_PASSES,
     REFUSED,
     Passes,
+    UnknownFriction,
     driven_part,
     lasting_torque,
     unknown_friction,
@@ -60,19 +61,11 @@ def of_this_instrument(
     forms = list(zip(*(part.passes for r in read for part in r.parts), strict=True))
     bare = unknown_friction(forms[1], hand, given=forms[0])
     given = unknown_friction(forms[0], hand, bare.size if bare else 0.0)
-    both = [one for one in (given, bare) if one]
-    found = max(both, key=lambda one: one.size, default=None)
     share, notes = unknown_share(forms[0]), []
     if share:
-        notes.append(
-            f"through reversals under a load, torque is {100 * abs(share):.1f} % "
-            f"{'more' if share > 0 else 'less'} against the load's direction of motion and as much "
-            "the other way with it: u is wider by this share; the load opposes motion itself, a "
-            f"mass swings at the turns (move slower), or {tables.path} does not hold the friction "
-            "under load: learn again"
-        )
-    by, other, said = changes(tables, kt, model)
-    share, notes = math.hypot(share, other), notes + said
+        notes.append(_of_share(share, tables))
+    by, other, later = changes(tables, kt, model)
+    share, notes = math.hypot(share, other), notes + later
     if zero is not None:
         by = math.hypot(by, zero.spread)
         notes.append(_of_zero(zero, tables))
@@ -82,12 +75,26 @@ def of_this_instrument(
         by = math.hypot(by, heavier.torque)
         notes.append(_of_inertia(heavier, tables))
     notes += _of_loads(forms, hand, model, kt)
+    wider, gain, said = _of_friction([one for one in (given, bare) if one], model, tables)
+    notes += [said] if said else []
+    by, share = math.hypot(by, wider), math.hypot(share, gain)
+    return [replace(r, parts=tuple(p.widened(by, share) for p in r.parts)) for r in read], notes
+
+
+def _of_friction(
+    both: Sequence[UnknownFriction], model: ForceModel, tables: Run
+) -> tuple[float, float, str]:
+    """Return by what u is wider where the tables do not hold the friction, N m, by what part of the
+    torque, and a note, empty where they do; by the torque with and without its ripple."""
+    found = max(both, key=lambda one: one.size, default=None)
     if found is None:
-        notes.append(
+        return (
+            0.0,
+            0.0,
             f"whether {tables.path} is of this instrument was not checked: that needs the same "
-            f"angles {FEWEST_PASSES} times in both directions, with nothing touching in most"
+            f"angles {FEWEST_PASSES} times in both directions, with nothing touching in most",
         )
-    elif found.typical > REFUSED:
+    if found.typical > REFUSED:
         raise InsufficientDataError(
             f"every motion is opposed in both directions by {found.size * 1e3:.3g} mN m of "
             f"friction that {tables.path} does not hold, {found.typical:.2g} times u, {REFUSED:g} "
@@ -95,24 +102,35 @@ def of_this_instrument(
             "encoder was zeroed elsewhere, or a load opposes all motion alike; learn again with "
             "ilc-learn --implementation D"
         )
-    elif found.over_u > DOUBTED:
-        gain = 2 * found.size / friction_at_output(model)
-        wider = max(one.widening for one in both)
-        by, share = math.hypot(by, wider), math.hypot(share, gain)
-        reason = (
-            f"strokes deviate so by chance where {found.passes} passes are all in a direction, "
-            "which a longer recording decides"
-            if found.by_chance
-            else "the encoder was zeroed elsewhere, or the instrument or the torque constant has "
-            "changed: learn again"
-        )
-        notes.append(
-            f"friction of {found.size * 1e3:.3g} mN m opposes motion in both directions and "
-            f"{tables.path} does not hold: u is wider by {wider * 1e3:.3g} mN m, and by "
-            f"{100 * gain:.1f} % of the torque, since friction and load may both be read too "
-            f"large or too small; {reason}"
-        )
-    return [replace(r, parts=tuple(p.widened(by, share) for p in r.parts)) for r in read], notes
+    if found.over_u <= DOUBTED:
+        return 0.0, 0.0, ""
+    gain = 2 * found.size / friction_at_output(model)
+    wider = max(one.widening for one in both)
+    reason = (
+        f"strokes deviate so by chance where {found.passes} passes are all in a direction, "
+        "which a longer recording decides"
+        if found.by_chance
+        else "the encoder was zeroed elsewhere, or the instrument or the torque constant has "
+        "changed: learn again"
+    )
+    return (
+        wider,
+        gain,
+        f"friction of {found.size * 1e3:.3g} mN m opposes motion in both directions and "
+        f"{tables.path} does not hold: u is wider by {wider * 1e3:.3g} mN m, and by "
+        f"{100 * gain:.1f} % of the torque, since friction and load may both be read too "
+        f"large or too small; {reason}",
+    )
+
+
+def _of_share(share: float, tables: Run) -> str:
+    return (
+        f"through reversals under a load, torque is {100 * abs(share):.1f} % "
+        f"{'more' if share > 0 else 'less'} against the load's direction of motion and as much "
+        "the other way with it: u is wider by this share; the load opposes motion itself, a "
+        f"mass swings at the turns (move slower), or {tables.path} does not hold the friction "
+        "under load: learn again"
+    )
 
 
 def _of_zero(zero: EncoderZero, tables: Run) -> str:

@@ -182,8 +182,8 @@ class Sensor:
     """Takes samples without a gap; a gap begins another one. As about a current at its limit, the
     torque has no value until the filter has found the motion.
 
-    Without `context` each sample must be a
-    count of the encoder, and an estimate waits for the sample that ends its step alone.
+    Without `context` each sample must be a count of the encoder, and an estimate waits for the
+    sample that ends its step alone.
     """
 
     def __init__(self, instrument: SensorProperties, *, context: bool = True) -> None:

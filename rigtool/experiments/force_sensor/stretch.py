@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import replace
 from typing import Any
@@ -28,7 +29,7 @@ from rigtool.experiments.force_sensor.commanded_inertia import CommandedTurns
 from rigtool.experiments.force_sensor.response import Spectra
 from rigtool.experiments.force_sensor.results_over_time import TorqueRows, steps_of_a_row
 from rigtool.experiments.force_sensor.sensor import Sensed, Sensor, SensorProperties
-from rigtool.experiments.force_sensor.signal_faults import SignalWatch
+from rigtool.experiments.force_sensor.signal_faults import SignalFault, SignalWatch
 from rigtool.experiments.force_sensor.unknown_friction import Passes
 from rigtool.experiments.force_sensor.unknown_inertia import Turns
 from rigtool.numerics.arrays import Array, Mask
@@ -227,16 +228,9 @@ class Stretch:
         reference, judged = None, np.empty(0, dtype=np.bool_)
         if referred and np.isfinite(found := self._taken("reference")).any():
             reference, judged = filled(found, round(rate / corner_hz))
-        torque, states = held_lowpass(rate, torque, corner_hz), self._taken("states")
-        states[np.abs(torque) > LARGEST_LEARNED_RATIO * self._instrument.reach.torque] = (
-            State.OUTSIDE
-        )
+        torque, rows = held_lowpass(rate, torque, corner_hz), slice(None, None, every)
         faults = self.watch.faults()
-        rows, causal_states = slice(None, None, every), self._taken("causal_states")
-        for fault in faults:
-            since = step_time * np.arange(1.0, self._steps + 1)
-            states[fault.within(since, causal=False)] = State.OUTSIDE
-            causal_states[fault.within(since[rows], causal=True)] = State.OUTSIDE
+        states, causal_states = self._states(torque, faults)
         inside = states != State.OUTSIDE
         sliding = np.isin(states[rows], (State.AGAINST, State.WITH))
         passed = self._taken("passed")
@@ -277,6 +271,20 @@ class Stretch:
                 commanded=commanded,
             )
         ]
+
+    def _states(
+        self, torque: Array, faults: Sequence[SignalFault]
+    ) -> tuple[NDArray[np.int8], NDArray[np.int8]]:
+        """Return the states of the steps (m,), smoothed, and the causal ones of the rows: without a
+        value beyond the learned torques, N m, and about faults."""
+        states, causal = self._taken("states"), self._taken("causal_states")
+        outside = np.abs(torque) > LARGEST_LEARNED_RATIO * self._instrument.reach.torque
+        states[outside] = State.OUTSIDE
+        for fault in faults:
+            since = self._instrument.grid.step_time * np.arange(1.0, self._steps + 1)
+            states[fault.within(since, causal=False)] = State.OUTSIDE
+            causal[fault.within(since[:: self._every], causal=True)] = State.OUTSIDE
+        return states, causal
 
     def _turns(
         self, output: Array, known: Mask, torque: Array, u: Array

@@ -186,7 +186,8 @@ def lasting_torque(parts: Sequence[Passes], hand: float | None = None) -> float:
 
     Tissue acts at a part of the angles, and differently at each.
     """
-    cells = _untouched_cells(parts, hand)
+    every = _cells(parts, hand)
+    cells = every[_shown(every)]
     if len(cells) < FEWEST_CELLS:
         return 0.0
     up, down, size = cells.T
@@ -206,12 +207,6 @@ def driven_part(parts: Sequence[Passes], hand: float) -> float:
         known = torque[np.isfinite(torque)]
         driven.append(float(np.mean(known < -hand)) if len(known) else 0.0)
     return min(driven) if min(driven) >= MOSTLY else 0.0
-
-
-def _untouched_cells(parts: Sequence[Passes], hand: float | None) -> Array:
-    """Return the rows of `_cells` whose passes show what nothing touches (c, 3)."""
-    every = _cells(parts, hand)
-    return every[_shown(every)]
 
 
 def _shown(every: Array) -> Mask:

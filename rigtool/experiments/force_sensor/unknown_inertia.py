@@ -18,7 +18,7 @@ well.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -68,17 +68,12 @@ class Turns:
         given = np.where(known, torque, 0.0)
         acceleration, shown = _behind(SHOWN_HZ, step_time, output, given)
         turning = np.stack(_behind(SLOW_HZ, step_time, output, given), axis=1)
-        least = LARGE_PART * np.quantile(np.abs(acceleration), LARGE_QUANTILE)
-        side = np.where(np.abs(acceleration) > least, np.sign(acceleration), 0.0)
-        edges = np.flatnonzero(np.diff(side, prepend=0.0, append=0.0)).tolist()
         found, passing, slow = [], [], []
-        for first, last in itertools.pairwise(edges):
-            about = slice(first - margin, last + margin)
-            if not side[first] or about.start < 0 or about.stop > len(side):
+        for change, sign in changes_of_speed(acceleration):
+            about = slice(change.start - margin, change.stop + margin)
+            if about.start < 0 or about.stop > len(known) or not known[about].all():
                 continue
             own = acceleration[about]
-            if not known[about].all():
-                continue
             line = np.stack([np.ones(len(own)), np.linspace(-1, 1, len(own)), own], axis=1)
             inertia = np.linalg.lstsq(line, shown[about])[0][2]
             bent = turning[about] - line[:, :2] @ np.linalg.lstsq(line[:, :2], turning[about])[0]
@@ -86,10 +81,20 @@ class Turns:
             if abs(own.sum()) < KEPT * np.abs(own).sum():
                 passing.append(inertia)
                 continue
-            largest = side[first] * np.abs(acceleration[first:last]).max()
-            found.append((largest, inertia, u[first:last].mean()))
+            largest = sign * np.abs(acceleration[change]).max()
+            found.append((largest, inertia, u[change].mean()))
         every = *np.array(found).reshape(-1, 3).T, np.array(passing), np.array(slow).reshape(-1, 2)
         return cls(*every)
+
+
+def changes_of_speed(acceleration: Array) -> Iterator[tuple[slice, float]]:
+    """Yield the rows of each large acceleration of one sign, of all (m,), and this sign."""
+    least = LARGE_PART * np.quantile(np.abs(acceleration), LARGE_QUANTILE)
+    side = np.where(np.abs(acceleration) > least, np.sign(acceleration), 0.0)
+    edges = np.flatnonzero(np.diff(side, prepend=0.0, append=0.0)).tolist()
+    for first, last in itertools.pairwise(edges):
+        if side[first]:
+            yield slice(first, last), float(side[first])
 
 
 def _behind(corner_hz: float, step_time: float, angle: Array, torque: Array) -> tuple[Array, Array]:

@@ -47,7 +47,7 @@ def test_it_is_one_kalman_filter_over_all_states(seed, bandwidth_hz):
 
     # y of the states as they are
     shared = np.empty(STATES)
-    value, variance = passed.output(mean[:STATES], mean[Q], rows.ravel(), section, shared, 0)
+    value, variance = passed.output(mean[:STATES], mean[Q], rows.ravel(), section, shared)
     weights = np.zeros(JOINT_STATES)
     weights[Q], weights[TORQUE] = section[-1, :-1], section[-1, -1]
     assert value == pytest.approx(weights @ mean, rel=1e-9, abs=1e-9)

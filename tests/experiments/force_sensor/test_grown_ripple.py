@@ -44,7 +44,7 @@ def test_smoothed_u_holds_both_errors_as_of_one_phase():
     sensor = Sensor(own)
     sensed = sensor.add(samples, last=True)
     angle = sensed.estimate.low + own.count / 2
-    _, variance, _ = sensor.power_up.whole(angle, np.zeros(len(angle)))
+    _, variance, _ = sensor.power_up.again()(angle, np.zeros(len(angle)))
     rows = slice(None, None, round((none.time[1] - none.time[0]) / own.grid.step_time))
     np.testing.assert_allclose(linear, (2 * sensed.grown * variance)[rows], rtol=1e-3, atol=1e-15)
     assert np.median(linear / none.u**2) > 0.02

@@ -85,7 +85,7 @@ from rigtool.numerics.compiled import compiled, compiled_allocating
 class PowerUp:
     """Follows the ripple of a recording without a gap; steps are added as they come.
 
-    `add` and `whole` return what ripple adds to the torque on the output after each of m steps, its
+    `add` and `again` give what ripple adds to the torque on the output after each of m steps, its
     variance, N m and N2 m2, and what it takes off the drive torque, N m, not low-passed.
     """
 
@@ -171,25 +171,21 @@ class PowerUp:
         driven = np.ascontiguousarray(np.column_stack([drive, taken]))
         return self._followed(self._state, angle, states[:, TORQUE], sliding, follows, driven)
 
-    def whole(self, angle: Array, torque: Array) -> tuple[Array, Array, Array]:
-        """Return them from all that was added, at its steps again: (m,) not low-passed, the
-        variance that of the followed orders alone.
-
-        `angle` (m,) rad as before, `torque` (m,) N m from the whole recording.
-        """
-        return self.again()(angle, torque)
-
     def again(self) -> Callable[[Array, Array], tuple[Array, Array, Array]]:
-        """Return `whole` for a recording that is given piece by piece."""
+        """Return what gives them from all that was added, at its steps again, piece by piece: (m,)
+        not low-passed, the variance that of the followed orders alone.
+
+        It takes the angles (m,) rad as before, and the torque (m,) N m of the whole recording.
+        """
         state = self._state.copy()
         state["waves"] = 0.0
         none = np.zeros(0, np.bool_), np.zeros((0, 0)), np.zeros((0, 3))
 
-        def whole(angle: Array, torque: Array) -> tuple[Array, Array, Array]:
+        def piece(angle: Array, torque: Array) -> tuple[Array, Array, Array]:
             ripple, variance, less, *_ = self._followed(state, angle, torque, *none)
             return ripple, variance, less
 
-        return whole
+        return piece
 
     def _followed(
         self,

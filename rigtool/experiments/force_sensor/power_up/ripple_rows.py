@@ -178,11 +178,11 @@ def _touching(s: Record, p: Record) -> float:
     """Return the logarithm of a row's likelihood where something touches, and take it in there."""
     noise, anew = (NOISE * p.size) ** 2, (CONTACT * p.size) ** 2
     value, leap = s.row[WAVE_COUNT], anew + noise
-    leaps = math.log(CHANGES * p.time) - 0.5 * (value**2 / leap + math.log(leap))
+    leaps = math.log(CHANGES * p.time) + normal(value, leap)
     slow = fast = 0.0
     for i in range(2):
         own = s.level_variance[i] + noise
-        likely = -0.5 * ((value - s.level[i]) ** 2 / own + math.log(own))
+        likely = normal(value - s.level[i], own)
         if leaps > likely:
             s.level[i], s.level_variance[i] = 0.0, anew
             own, likely = leap, leaps

@@ -95,7 +95,7 @@ def test_ripple_of_another_power_up_is_found_under_contacts(another):
     late = slice(round(10 / STEP), None)
     assert np.sqrt(np.mean((found - added)[late] ** 2)) < 0.35 * np.sqrt(np.mean(added**2))
     assert np.mean(np.abs(found - added)[late] < 1.96 * np.sqrt(variance[late])) > 0.95
-    whole, left, _ = power_up.whole(angle, states[:, TORQUE])
+    whole, left, _ = power_up.again()(angle, states[:, TORQUE])
     assert np.sqrt(np.mean((whole - added) ** 2)) < 0.3 * np.sqrt(np.mean(added**2))
     assert np.mean(np.abs(whole - added) < 1.96 * np.sqrt(left)) > 0.95
 
@@ -158,7 +158,7 @@ def test_the_unit_of_torque_changes_nothing(gain):
         scaled[:, TORQUE] *= scale
         power_up = PowerUp(in_unit(model(1e-4), scale), STEP, BANDWIDTH)
         found, variance, less, *_ = power_up.add(angle, scaled, gains, drive, taken)
-        whole, left, _ = power_up.whole(angle, scaled[:, TORQUE])
+        whole, left, _ = power_up.again()(angle, scaled[:, TORQUE])
         torques, variances = np.stack([found, less, whole]), np.stack([variance, left])
         results.append((torques / scale, variances / scale**2, power_up.probability))
     for one, other in zip(*results, strict=True):
@@ -199,7 +199,7 @@ def test_u_holds_a_ripple_that_has_changed_a_little(share):
         states[:, TORQUE] = contact(time) + noise(time, states, seed) + added
         power_up = PowerUp(model(), STEP, BANDWIDTH)
         found, variance, *_ = power_up.add(angle, states, *follows(states))
-        whole, left, _ = power_up.whole(angle, states[:, TORQUE])
+        whole, left, _ = power_up.again()(angle, states[:, TORQUE])
         held.append(np.abs(found - added)[late] < 1.96 * np.sqrt(variance[late]))
         held.append(np.abs(whole - added)[late] < 1.96 * np.sqrt(left[late]))
     assert np.mean(held) > 0.9
@@ -216,7 +216,7 @@ def test_a_weak_contact_that_lasts_is_not_taken_for_ripple(torque, other):
     found, variance, *_ = power_up.add(angle, states, *follows(states))
     late = slice(round(10 / STEP), None)
     assert np.mean(np.abs(found - added)[late] < 1.96 * np.sqrt(variance[late] + STROKE**2)) > 0.9
-    whole, left, _ = power_up.whole(angle, states[:, TORQUE])
+    whole, left, _ = power_up.again()(angle, states[:, TORQUE])
     assert np.mean(np.abs(whole - added) < 1.96 * np.sqrt(left + STROKE**2)) > 0.9
 
 
@@ -232,7 +232,7 @@ def test_ripple_of_pole_pairs_is_found_at_another_power_up():
     power_up = PowerUp(model(waves=waves), STEP, BANDWIDTH)
     power_up.add(angle, states, *follows(states))
     assert power_up.probability > 0.99
-    found, variance, _ = power_up.whole(angle, states[:, TORQUE])
+    found, variance, _ = power_up.again()(angle, states[:, TORQUE])
     assert np.std(found - added) < 0.2 * np.std(added)
     assert np.mean(np.abs(found - added) < 1.96 * np.sqrt(variance)) > 0.9
 
@@ -312,7 +312,7 @@ def test_a_force_that_repeats_with_the_angle_is_no_ripple(stiffness):
     late = slice(round(20 / STEP), None)
     assert np.abs(found[late]).max() < 0.5 * STROKE
     assert np.sqrt(variance[late]).max() < 2 * STROKE
-    again, left, _ = power_up.whole(angle, states[:, TORQUE])
+    again, left, _ = power_up.again()(angle, states[:, TORQUE])
     for ripple_, doubt in ((found[late], variance[late]), (again, left)):
         assert np.mean(np.abs(ripple_) < 1.96 * np.sqrt(doubt)) > 0.95
     # before that, no more is taken for ripple than a power-up may draw
@@ -326,7 +326,7 @@ def test_u_holds_a_weak_force_that_repeats_with_the_angle():
     states[:, TORQUE] = 10e-3 * np.maximum(angle - 1.5, 0.0) + noise(time, states)
     power_up = PowerUp(model(), STEP, BANDWIDTH)
     found, variance, *_ = power_up.add(angle, states, *follows(states))
-    again, left, _ = power_up.whole(angle, states[:, TORQUE])
+    again, left, _ = power_up.again()(angle, states[:, TORQUE])
     late = slice(round(20 / STEP), None)
     assert np.abs(found[late]).max() > STROKE
     for ripple_, doubt in ((found[late], variance[late]), (again, left)):
@@ -342,7 +342,7 @@ def test_a_weak_mass_that_hangs_from_the_first_sample_on_is_no_ripple(coefficien
     states[:, TORQUE] = mass + noise(time, states) + added
     power_up = PowerUp(model(), STEP, BANDWIDTH)
     found, variance, *_ = power_up.add(angle, states, *follows(states))
-    again, left, _ = power_up.whole(angle, states[:, TORQUE])
+    again, left, _ = power_up.again()(angle, states[:, TORQUE])
     late = slice(round(20 / STEP), None)
     assert np.sqrt(np.mean((found - added)[late] ** 2)) < 0.3 * np.sqrt(np.mean(mass**2))
     for ripple_, doubt in ((found, variance), (again, left)):
@@ -372,7 +372,7 @@ def test_a_contact_that_is_recognised_by_its_end_leaves_nothing_in_the_ripple():
     found, variance, *_ = power_up.add(angle, states, *follows(states))
     assert power_up.probability > 0.99
     assert np.mean(np.abs(found - added) < 1.96 * np.sqrt(variance)) > 0.95
-    whole, left, _ = power_up.whole(angle, states[:, TORQUE])
+    whole, left, _ = power_up.again()(angle, states[:, TORQUE])
     assert np.sqrt(np.mean((whole - added) ** 2)) < 0.6 * STROKE
     assert np.mean(np.abs(whole - added) < 1.96 * np.sqrt(left)) > 0.95
 
@@ -387,7 +387,7 @@ def test_a_force_that_swings_with_rows_of_20_ms_is_no_ripple(frequency):
         states[:, TORQUE] = swing + noise(time, states, part) + added
         power_up = PowerUp(model(), STEP, BANDWIDTH)
         power_up.add(angle, states, *follows(states))
-        whole, left, _ = power_up.whole(angle, states[:, TORQUE])
+        whole, left, _ = power_up.again()(angle, states[:, TORQUE])
         held.append(np.mean(np.abs(whole - added) < 1.96 * np.sqrt(left)))
     assert np.mean(held) > 0.7
 

@@ -237,7 +237,7 @@ def test_each_step_gives_mean_and_variance_of_what_is_known():
     assert_allclose(s["row"], row / 100)
     assert s["slid"] == np.count_nonzero(states[:, HOUSING] > 0.9)
     # again, from the whole recording: as ripple is, behind no filter that shows it
-    again, variance, less = own.whole(angle, np.zeros(size))
+    again, variance, less = own.again()(angle, np.zeros(size))
     waves, kept = np.zeros(count), math.exp(-step / LEARNED.shape.ripple_time)
     for k in range(size):
         fresh = np.where(np.arange(count) % 2, np.sin(orders * angle[k]), np.cos(orders * angle[k]))
