@@ -140,8 +140,10 @@ struct rs_model {
     rs_real current_limit, largest_current, cold, warm, farthest;
     int32_t lowest, highest; /* counts */
     /* the reading: low-pass q' = A q + B M, y = C q + D M, and u^2 = (c s)^2 + (g y)^2 of its
-     * deviation s, by state, and while the rotor creeps; the ripple's variance is added */
+     * deviation s, by state, and while the rotor creeps, c^2 at least `shown_variance` where y
+     * shows; the ripple's variance is added */
     rs_real low_pass[RS_ORDER + 1][RS_ORDER + 1], settled[RS_ORDER], scales[RS_KINDS][2], coverage;
+    rs_real shown_variance;
     /* what friction leaves open without a current, and where the rotor crawls besides; within a
      * count, where the rotor of a driven motor has been in it for long, or the torque swings */
     rs_real no_current, open_variances[2][RS_KINDS], held_variance;
@@ -1554,7 +1556,7 @@ static inline int rs_read(struct rigtool_sensor *s)
 {
     const rs_real *c = rs_model.low_pass[RS_ORDER], d = c[RS_ORDER];
     rs_real torque = d * s->x[RS_TORQUE], variance = d * d * rs_variance(s, RS_TORQUE), half, other;
-    rs_real unbent, swing;
+    rs_real unbent, swing, shown;
     struct rigtool_sensor_reading *now = &s->reading;
     const rs_real *scales;
     int i, j;
@@ -1580,9 +1582,14 @@ static inline int rs_read(struct rigtool_sensor *s)
     other += rs_model.swing_taken * swing;
     i = now->state <= RIGTOOL_SENSOR_WITH && s->creeps ? RS_CREEPING : (int)now->state;
     scales = rs_model.scales[i];
+    shown = rs_square(torque / rs_model.coverage);
+    if (shown > rs_model.shown_variance * variance)
+        shown = rs_model.shown_variance * variance;
     /* where a load has raised the noise, the deviation holds no more than is needed */
     if ((s->step_left == 0 && s->slow_left == 0) || scales[0] > 1)
         variance *= rs_square(scales[0]);
+    if (variance < shown)
+        variance = shown;
     if (s->idle && variance < rs_model.open_variances[s->crawls][i])
         variance = rs_model.open_variances[s->crawls][i];
     if (!s->idle && s->rested_up >= RS_UNSEEN_STEPS && s->rested_down >= RS_UNSEEN_STEPS

@@ -28,6 +28,7 @@ from rigtool.experiments.force_filter import (
 from rigtool.experiments.force_filter.estimate import idle_steps
 from rigtool.experiments.force_model.drawn_ripple import learned_ripple
 from rigtool.experiments.force_model.drive import VISCOUS
+from rigtool.experiments.force_model.intervals import SHOWN_FACTOR
 from rigtool.experiments.force_model.steps import LONGEST_EXACT, NO_CURRENT
 from rigtool.experiments.force_sensor.power_up import (
     lasting_contact,
@@ -260,6 +261,7 @@ def _reading(instrument: SensorProperties, coverage_factor: float) -> dict[str, 
         "settled": passed.settled(passed.section(instrument.corner_hz, step_time)),
         "scales": instrument.model.scales[1],
         "coverage": coverage_factor,
+        "shown_variance": SHOWN_FACTOR**2,
         "no_current": NO_CURRENT,
         "open_variances": instrument.open_variances[1:3],
         "held_variance": instrument.held_variance,

@@ -15,10 +15,15 @@ and not how far the friction is off that they gave. The score is least at the c 
 errors within h, whatever their tails: friction's are heavy after reversals and at rest. All that
 lies within `INDEPENDENT_TIME` counts as one error; normal errors of `EXPECTED_RATIO` s, `EXPECTED`
 in number, count besides. While the rotor slides, s follows from hundreds of strokes, so that they
-are many there, but where no stroke has shown s. Known loads hardly change, as others may: where
-nothing changes, errors are smaller than that, and show no c below `FACTORS`. Where a load does
-change, the filter has raised the noise of its torque: c is 1 at least, as s holds no more than is
-needed then.
+are many there, but where no stroke has shown s.
+
+Known loads hardly change, as others may: without a load, errors after reversals and at rest are
+smaller than under one that comes and goes. So a torque that is not zero within 1.96 c s has
+
+    (c s)^2 >= min((C s)^2, (M / 1.96)^2),   C = `SHOWN_FACTOR`
+
+and intervals hold zero where those of C do. Where a load changes, the filter has raised the noise
+of its torque: c is 1 at least, as s holds no more than is needed then.
 
 The least score does not tell g: at g = 0 it has no slope, as g^2 counts, and few strokes leave it
 flat, or with two minima. g is a mean, with the score for a loss (P. G. Bissiri, C. C. Holmes, S. G.
@@ -63,10 +68,13 @@ MIN_STEPS = 100
 KINDS_TOGETHER = ((State.AGAINST, State.WITH), (State.REVERSED,), (State.STILL,), (CREEPING_KIND,))
 """Kinds that have one c and g."""
 
-FACTORS, SHARES, GRID = (0.8, 20.0), (1e-4, 1.0), 400
-"""Between which c and g are, and how many g the mean is over, evenly by their logarithms.
-With every parameter true, under contacts that come and go, the score after reversals and at rest is
-least at c = 0.69 to 0.75, 1 % larger at 0.8; errors under weak loads are larger than without."""
+FACTORS, SHARES, GRID = (0.4, 20.0), (1e-4, 1.0), 400
+"""Between which c and g are, and how many g the mean is over, evenly by their logarithms."""
+
+SHOWN_FACTOR = 0.8
+"""Least c of a torque that shows. With every parameter true, under contacts that come and go, the
+score of quiet rests is least at c = 0.80 (smoothed) and 0.75 (causal) under a load, at 0.40 without
+one, after reversals at 0.75 and 0.60 to 0.65 (five virtual rigs)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +102,9 @@ def uncertainty_of_kinds(
     """Return u (m,) N m by c and g of each kind, (kinds, 2); `variance` (m,) N2 m2 is r^2, `opened`
     (m,) where the noise of the torque is raised, and (c s)^2 is at `least` that, (m,) N2 m2."""
     factor, share = scales[kinds].T
-    own = np.maximum((np.maximum(factor, opened) * deviation) ** 2, least)
-    return np.sqrt(own + (share * torque) ** 2 + variance)
+    shown = np.minimum(SHOWN_FACTOR * deviation, np.abs(torque) / COVERAGE_FACTOR)
+    own = np.maximum(np.maximum(factor, opened) * deviation, shown)
+    return np.sqrt(np.maximum(own**2, least) + (share * torque) ** 2 + variance)
 
 
 def scales(parts: Sequence[Errors], *, shown: bool = True) -> Array:
@@ -150,9 +159,10 @@ def _factor(errors: Array, expected: float) -> float:
 
 def _share(errors: Array, loads: Array, factor: float) -> float:
     """Return g, by errors and loads (n,) over s and c; 0 where nothing is loaded."""
-    errors, squares = errors[loads > 0], loads[loads > 0] ** 2
+    errors, loads = errors[loads > 0], loads[loads > 0]
     shares = np.geomspace(*SHARES, GRID)
-    own = [_score(errors, np.sqrt(factor**2 + g**2 * squares)) for g in shares]
+    alone = np.maximum(factor, np.minimum(SHOWN_FACTOR, loads / COVERAGE_FACTOR))
+    own = [_score(errors, np.hypot(alone, g * loads)) for g in shares]
     weights = shares * np.exp(min(own) - np.array(own))  # dg = g d(ln g)
     return float(weights @ shares / weights.sum()) if errors.size else 0.0
 

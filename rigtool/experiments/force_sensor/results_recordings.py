@@ -23,6 +23,7 @@ from rigtool.experiments.force_model.contacts import (
     MotionKind,
     events,
 )
+from rigtool.experiments.force_model.intervals import SHOWN_FACTOR
 from rigtool.experiments.force_sensor.results_over_time import (
     TorqueRows,
     over_time_tables,
@@ -158,7 +159,8 @@ def _notes(
         f"torque was learned up to {reach.torque * 1e3:.4g} mN m, from {low:.4g} to {high:.4g} rad "
         f"of the motor, up to {reach.speed:.4g} rad/s; outside there is no value",
         "u is the filter's deviation times a factor, and a share of the torque, as errors under "
-        f"the known loads show: {factors}",
+        f"the known loads show: {factors}; the factor of a torque that shows is {SHOWN_FACTOR} at "
+        "least",
     ]
     if (outside := 1 - known.mean()) > 0:
         limit = any(part.limited for r in recordings for part in r.parts)

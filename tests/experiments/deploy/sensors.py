@@ -35,7 +35,7 @@ INTERVAL, COUNTS, CONSTANT = 125e-6, 4000, (0.046, -4e-5)
 WIDTH = 2 * math.pi / COUNTS
 WARM = 27.0
 REACH = Reach((-1.2, 1.2), 20.0, 0.06, (20.0, 50.0), 0.5)
-SCALES = np.stack([[1.0, 0.9, 1.2, 0.8, 0.85, 2.0], [0.0, 0.01, 0.02, 0.03, 0.0, 0.1]], axis=1)
+SCALES = np.stack([[1.0, 0.9, 1.2, 0.6, 0.45, 2.0], [0.0, 0.01, 0.02, 0.03, 0.0, 0.1]], axis=1)
 
 TURN = np.linspace(0, 2 * math.pi, 513)
 ROTOR = np.stack(

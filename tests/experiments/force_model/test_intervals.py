@@ -47,10 +47,25 @@ def test_factor_and_share_are_those_of_the_errors(factor, share, kind):
 
 @pytest.mark.parametrize("kind", [State.REVERSED, State.STILL])
 @pytest.mark.parametrize("share", [0.0, 0.05])
-def test_known_loads_that_hardly_change_do_not_narrow_it_without_end(share, kind):
-    found = scales([drawn(0.5, share, kind)])[:, kind]
-    np.testing.assert_allclose(found[:, 0], 0.8, rtol=1e-3)
-    np.testing.assert_allclose(found[:, 1], share, atol=8e-3)
+@pytest.mark.parametrize(("factor", "found"), [(0.5, 0.5), (0.1, 0.4)])
+def test_errors_without_a_load_give_a_factor_of_their_own(factor, found, share, kind):
+    own = scales([drawn(factor, share, kind)])[:, kind]
+    np.testing.assert_allclose(own[:, 0], found, rtol=0.03)
+    np.testing.assert_allclose(own[:, 1], share, atol=8e-3)
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.9])
+def test_known_loads_that_hardly_change_do_not_narrow_a_torque_that_shows(factor):
+    """Which intervals hold zero does not depend on that."""
+    factors, torque = np.ones((KIND_COUNT, 2)) * (factor, 0.0), np.linspace(-4e-3, 4e-3, 7778)
+    kinds, deviation = np.full(7778, State.STILL), np.full(7778, 1e-3)
+    u = uncertainty_of_kinds(factors, deviation, torque, kinds, NO_RIPPLE, QUIET)
+    least = max(factor, 0.8) * 1e-3
+    shows = np.abs(torque) > 1.96 * least
+    np.testing.assert_allclose(u[shows], least, rtol=1e-12)
+    np.testing.assert_allclose(u[np.abs(torque) < 1.96e-3 * factor], factor * 1e-3, rtol=1e-12)
+    np.testing.assert_array_equal(np.abs(torque) > 1.96 * u * (1 + 1e-9), shows)
+    assert np.abs(np.diff(u)).max() < 1e-6  # no step, N m, from one torque to the next
 
 
 def test_kinds_have_their_own_errors_and_sliding_has_one_for_both_directions():
@@ -77,21 +92,21 @@ def test_heavy_tails_do_not_widen_the_intervals():
 def test_ripple_of_another_power_up_widens_u_as_it_is():
     """Known loads have no error from it, so that their factor, here of rest, does not scale it."""
     factors = np.ones((KIND_COUNT, 2)) * (1.0, 0.0)
-    factors[State.STILL] = 0.4, 0.1
+    factors[State.STILL] = 0.9, 0.1
     kinds = np.array([State.STILL, State.AGAINST])
     u = uncertainty_of_kinds(
         factors, np.array([1e-3, 1e-3]), np.full(2, 5e-3), kinds, np.full(2, 0.36e-6), QUIET
     )
-    np.testing.assert_allclose(u, np.sqrt([0.16e-6 + 0.25e-6 + 0.36e-6, 1.36e-6]), rtol=1e-12)
+    np.testing.assert_allclose(u, np.sqrt([0.81e-6 + 0.25e-6 + 0.36e-6, 1.36e-6]), rtol=1e-12)
 
 
 def test_what_friction_leaves_open_is_not_in_the_deviation_twice():
-    factors = np.ones((KIND_COUNT, 2)) * (0.5, 0.1)
+    factors = np.ones((KIND_COUNT, 2)) * (0.9, 0.1)
     kinds, least = np.array([State.REVERSED, State.REVERSED]), np.array([0.01e-6, 9e-6])
     u = uncertainty_of_kinds(
         factors, np.array([1e-3, 1e-3]), np.full(2, 5e-3), kinds, np.full(2, 0.36e-6), QUIET, least
     )
-    np.testing.assert_allclose(u, np.sqrt([0.86e-6, 9.61e-6]), rtol=1e-12)
+    np.testing.assert_allclose(u, np.sqrt([1.42e-6, 9.61e-6]), rtol=1e-12)
 
 
 @pytest.mark.parametrize(("factor", "held"), [(0.8, 1.0), (1.3, 1.3)])
