@@ -1,6 +1,7 @@
 """The steady part of a recording, found by looking at few of its samples."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,8 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.ripple.procedure_steady import steady_samples, temperature_at_turns
+from rigtool.experiments.ripple.procedure_steady import (
+    collected,
+    steady_samples,
+    temperature_at_turns,
+)
+from rigtool.runfile import open_run
 from rigtool.runfile.schema import CHUNK
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
 
 
 class Stored:
@@ -104,6 +112,17 @@ def test_a_turn_has_the_temperature_of_its_own_samples():
     through = np.polyfit([0.5, 2.5, 3.5], [20.0, 24.0, 22.0], 2)
     expected = np.polyval(through, np.arange(6.0))
     assert temperature_at_turns(Steps(), firsts) == pytest.approx(expected)
+
+
+def test_the_samples_of_turns_are_those_of_the_recording():
+    with open_run(FIXTURES / "ripple.h5") as run:
+        recording = run.recordings_named("speed_")[0]
+        found = collected(recording, steady_samples(recording), run.recipe, None)
+        begins = np.searchsorted(recording.read("time"), found.passed)
+    assert len(begins) > 5
+    # the last bit decides where a turn begins at a sample
+    assert np.abs(found.firsts - begins).max() <= 1
+    assert np.mean(found.firsts == begins) > 0.5
 
 
 def test_no_thermometer_shows_no_temperature():
