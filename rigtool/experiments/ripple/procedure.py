@@ -276,7 +276,7 @@ def _constants(
     At the temperature of the housing while it was recorded, lowered by the heat of the winding.
     """
     degrees = [
-        temperature_at_turns(recording, own.passed)
+        temperature_at_turns(recording, own.firsts)
         for own, recording in zip(found, recorded, strict=True)
     ]
     if not np.isfinite(np.concatenate(degrees)).all():

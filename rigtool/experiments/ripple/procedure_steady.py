@@ -6,6 +6,7 @@ from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rigtool.control.position_loop import position_loop
 from rigtool.errors import InsufficientDataError
@@ -67,21 +68,25 @@ def first_and_last(recording: Recording, channel: str, samples: range) -> tuple[
     return float(first), float(last)
 
 
-def temperature_at_turns(recording: Recording, passed: Array) -> Array:
+def temperature_at_turns(recording: Recording, firsts: NDArray[np.intp]) -> Array:
     """Return the motor's temperature where turns begin and end, (turns + 1,) degC; NaN where none
     is known.
 
-    `passed` (turns + 1,) s are these times. A polynomial through the means of the turns, of a
-    higher degree for more of them (`TURNS_A_DEGREE`).
+    `firsts` (turns + 1,) are the first samples of each turn, and the first one after the last turn.
+    A polynomial through the means of the turns, of a higher degree for more of them
+    (`TURNS_A_DEGREE`).
     """
-    turns = passed.size - 1
+    turns = firsts.size - 1
     sums, counts = np.zeros(turns), np.zeros(turns)
     if recording.has("temperature"):
-        for time, degc in recording.blocks("time", "temperature", finite=False):
-            turn = np.searchsorted(passed, time, side="right") - 1
-            used = np.isfinite(degc) & (turn >= 0) & (turn < turns)
-            counts += np.bincount(turn[used], minlength=turns)
-            sums += np.bincount(turn[used], weights=degc[used], minlength=turns)
+        start, stop = int(firsts[0]), int(firsts[-1])
+        for (degc,) in recording.blocks("temperature", start=start, stop=stop, finite=False):
+            begins = np.clip(firsts - start, 0, degc.size)
+            own = np.flatnonzero(np.diff(begins))  # turns with samples in this block
+            known = np.isfinite(degc)
+            sums[own] += np.add.reduceat(np.where(known, degc, 0.0), begins[own])
+            counts[own] += np.add.reduceat(known, begins[own], dtype=np.intp)
+            start += degc.size
     known = np.flatnonzero(counts)
     if not known.size:
         return np.full(turns + 1, np.nan)
@@ -96,9 +101,10 @@ def temperature_at_turns(recording: Recording, passed: Array) -> Array:
 class Collected:
     """Steady revolutions of a recording, as `Revolutions` has them: `waveforms` (revolutions,
     positions) A, with their `sampling`; `durations` (revolutions, positions) s; `steps` (m,), those
-    of `step_orders`; when the rotor `passed` turns, s, and the mean `current` of each, A. `square`
-    is the mean of i |i|, `shaken` the part of it that a current which is steady would not have, A2:
-    of recorded samples, which are means of several."""
+    of `step_orders`; when the rotor `passed` turns, s, the mean `current` of each, A, and the
+    `firsts` of the recording's samples in them. `square` is the mean of i |i|, `shaken` the part of
+    it that a current which is steady would not have, A2: of recorded samples, which are means of
+    several."""
 
     waveforms: Array
     durations: Array
@@ -107,6 +113,7 @@ class Collected:
     sampling: Sampling
     passed: Array
     current: Array
+    firsts: NDArray[np.intp]
     square: float
     shaken: float
 
@@ -149,6 +156,9 @@ def collected(
             HIGHEST_ORDER,
         )
     shaken = max(square - mean**2, 0.0)
+    forward = last > first
+    passed, turn_means, firsts = revolutions.turns()
+    firsts += steady.start
     return Collected(
-        waveforms, durations, steps, last > first, sampling, *revolutions.turns(), square, shaken
+        waveforms, durations, steps, forward, sampling, passed, turn_means, firsts, square, shaken
     )

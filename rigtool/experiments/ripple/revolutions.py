@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.numerics.arrays import Array
@@ -34,6 +35,7 @@ class Revolutions:
         self._start = 0.0
         self._passed: list[Array] = []
         self._integrals: list[Array] = []
+        self._firsts: list[NDArray[np.intp]] = []
 
     def add(self, time: Array, turns: Array, torque: Array) -> None:
         """Take the next samples: time (n,) in s, the rotor's angle in turns, torque.
@@ -73,7 +75,8 @@ class Revolutions:
         stop = math.floor(advance[-1] * self._positions) + 1
         edges = np.arange(self._next_edge, stop) / self._positions
         edges = edges[edges <= advance[-1]]
-        before = np.maximum(np.searchsorted(advance, edges, side="left") - 1, 0)
+        reached = np.searchsorted(advance, edges, side="left")
+        before = np.maximum(reached - 1, 0)
         low, high = advance[before], advance[before + 1]
         part = np.clip((edges - low) / np.where(high > low, high - low, 1.0), 0.0, 1.0)
         bounds = np.concatenate([[0], before])
@@ -84,6 +87,8 @@ class Revolutions:
         mean = torque[before] + part / 2 * (torque[before + 1] - torque[before])
         self._passed.append(time[before] + since)
         self._integrals.append(integral[:-1] + since * mean)
+        turns = reached[-self._next_edge % self._positions :: self._positions]
+        self._firsts.append(self._samples - time.size + turns)
         self._integral = float(integral[-1])
         self._next_edge += edges.size
 
@@ -94,14 +99,16 @@ class Revolutions:
             return 0.0
         return (float(self._advance[-1]) - self._start) / (self._samples - 1)
 
-    def turns(self) -> tuple[Array, Array]:
-        """Return when each whole turn began, and the last one ended, (turns + 1,) s, and the mean
-        torque of each, (turns,)."""
+    def turns(self) -> tuple[Array, Array, NDArray[np.intp]]:
+        """Return when each whole turn began, and the last one ended, (turns + 1,) s, the mean
+        torque of each, (turns,), and the first sample at or after each beginning and the last end,
+        (turns + 1,)."""
         passed, integral = (
             np.concatenate([np.zeros(0), *parts])[:: self._positions]
             for parts in (self._passed, self._integrals)
         )
-        return passed, np.diff(integral) / np.diff(passed)
+        firsts = np.concatenate([np.zeros(0, np.intp), *self._firsts])
+        return passed, np.diff(integral) / np.diff(passed), firsts
 
     def cells(self) -> Array:
         """Return the mean torque of each cell, (cells,), in the order in which they are passed."""

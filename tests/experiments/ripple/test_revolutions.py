@@ -51,8 +51,9 @@ def test_a_cell_has_the_mean_over_the_time_in_it(forward):
         at = np.concatenate([[begin], inside, [end]])
         means.append(np.trapezoid(np.interp(at, time, torque), at) / (end - begin))
     np.testing.assert_allclose(found.cells(), means, rtol=1e-9)
-    began, whole = found.turns()
+    began, whole, firsts = found.turns()
     np.testing.assert_allclose(began, passed[::CELLS], rtol=1e-12)
+    np.testing.assert_array_equal(firsts, np.searchsorted(time, began))
     turn = [
         np.average(means[n : n + CELLS], weights=np.diff(passed)[n : n + CELLS])
         for n in range(0, len(whole) * CELLS, CELLS)
@@ -65,6 +66,12 @@ def test_a_cell_has_the_mean_over_the_time_in_it(forward):
     assert edges.size == len(means) + 1
 
 
+def test_a_sample_at_the_encoders_zero_is_the_first_of_its_turn():
+    time = np.arange(12.0)
+    found = collected(time, time / 4, np.ones(12), True, (5, 9))
+    np.testing.assert_array_equal(found.turns()[2], [0, 4, 8])
+
+
 @pytest.mark.parametrize("forward", [True, False])
 @pytest.mark.parametrize("blocks", [(1, 2, 3), (50, 51, 52, 53), (0, 299, 300, 301, 650)])
 def test_blocks_of_any_length_give_the_same(forward, blocks):
@@ -72,6 +79,7 @@ def test_blocks_of_any_length_give_the_same(forward, blocks):
     whole, parts = collected(*signals, forward), collected(*signals, forward, blocks)
     np.testing.assert_allclose(parts.cells(), whole.cells(), rtol=1e-9)
     assert parts.step == pytest.approx(whole.step, rel=1e-12)
+    np.testing.assert_array_equal(parts.turns()[2], whole.turns()[2])
 
 
 def test_what_it_cannot_use_is_refused():

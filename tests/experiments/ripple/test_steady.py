@@ -1,6 +1,7 @@
 """The steady part of a recording, found by looking at few of its samples."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,8 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.ripple.procedure_steady import steady_samples, temperature_at_turns
+from rigtool.experiments.ripple.procedure_steady import (
+    collected,
+    steady_samples,
+    temperature_at_turns,
+)
+from rigtool.runfile import open_run
 from rigtool.runfile.schema import CHUNK
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
 
 
 class Stored:
@@ -68,7 +76,7 @@ def test_the_temperature_follows_a_housing_that_warms_exponentially():
     def housing(seconds):
         return 25 + 10 * (1 - (360 * np.exp(-seconds / 360) - 22 * np.exp(-seconds / 22)) / 338)
 
-    time, passed = np.arange(0.0, 760.0, 0.05), 3.0 + 5.0 * np.arange(151)
+    time, firsts = np.arange(0.0, 760.0, 0.05), 60 + 100 * np.arange(151)
     degc = housing(time) + 0.3 * np.sin(40 * time)
     degc[::7] = np.nan
 
@@ -76,14 +84,45 @@ def test_the_temperature_follows_a_housing_that_warms_exponentially():
         def has(self, name):
             return name == "temperature"
 
-        def blocks(self, *names, finite):
-            assert (names, finite) == (("time", "temperature"), False)
-            yield from zip(np.array_split(time, 4), np.array_split(degc, 4), strict=True)
+        def blocks(self, *names, start, stop, finite):
+            assert (names, finite) == (("temperature",), False)
+            for part in np.array_split(degc[start:stop], 4):
+                yield (part,)
 
-    true = housing(passed)
-    assert np.abs(temperature_at_turns(Warming(), passed) - true).max() < 0.03
-    two = temperature_at_turns(Warming(), passed[:3])
+    true = housing(time[firsts])
+    assert np.abs(temperature_at_turns(Warming(), firsts) - true).max() < 0.03
+    two = temperature_at_turns(Warming(), firsts[:3])
     assert np.abs(two - true[:3]).max() < 0.1
+
+
+def test_a_turn_has_the_temperature_of_its_own_samples():
+    """Turns over several blocks, several in one, one of no sample, one of NaN alone."""
+    firsts = np.array([5, 9, 9, 31, 33, 34])
+    degc = np.repeat([90.0, 20.0, 24.0, 22.0, np.nan, 90.0], [5, 4, 22, 2, 1, 6])
+
+    class Steps:
+        def has(self, name):
+            return True
+
+        def blocks(self, *names, start, stop, finite):
+            for begin in range(start, stop, 6):
+                yield (degc[begin : min(begin + 6, stop)],)
+
+    # Three means that are known, a parabola through them, at the middle of each turn.
+    through = np.polyfit([0.5, 2.5, 3.5], [20.0, 24.0, 22.0], 2)
+    expected = np.polyval(through, np.arange(6.0))
+    assert temperature_at_turns(Steps(), firsts) == pytest.approx(expected)
+
+
+def test_the_samples_of_turns_are_those_of_the_recording():
+    with open_run(FIXTURES / "ripple.h5") as run:
+        recording = run.recordings_named("speed_")[0]
+        found = collected(recording, steady_samples(recording), run.recipe, None)
+        begins = np.searchsorted(recording.read("time"), found.passed)
+    assert len(begins) > 5
+    # the last bit decides where a turn begins at a sample
+    assert np.abs(found.firsts - begins).max() <= 1
+    assert np.mean(found.firsts == begins) > 0.5
 
 
 def test_no_thermometer_shows_no_temperature():
@@ -91,4 +130,4 @@ def test_no_thermometer_shows_no_temperature():
         def has(self, name):
             return False
 
-    assert np.isnan(temperature_at_turns(Without(), np.arange(4.0))).all()
+    assert np.isnan(temperature_at_turns(Without(), np.arange(4))).all()

@@ -832,7 +832,7 @@ def test_one_temperature_carries_no_coefficient():
 
 
 @given(factor=st.floats(0.05, 20.0), seed=st.integers(0, 3))
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=2, deadline=None)
 def test_torque_scales_the_constant_and_nothing_else(factor, seed):
     bench = Bench(force_noise=1e-4)
     signals = bench.record((20, 50), seed=seed)

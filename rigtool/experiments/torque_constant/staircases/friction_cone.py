@@ -22,6 +22,10 @@ from rigtool.numerics.arrays import TINY, Array
 NODES, REACH = 41, 5.0
 """Values of f for which h is integrated, up to so many standard deviations from the mean."""
 
+FAR_EDGE = 9.0
+"""Standard deviations beyond which nothing of a normal distribution is left, to a double's
+rounding."""
+
 
 @dataclass(frozen=True)
 class Possible:
@@ -37,8 +41,6 @@ class Possible:
 def possible(mean: Array, covariance: Array, largest: float) -> Possible:
     """Return the possible part of normal distributions of f and h, of mean (..., 2) N m and
     covariance (..., 2, 2); `largest` is that of f, N m."""
-    from scipy.special import log_ndtr
-
     f, h = mean[..., None, 0], mean[..., None, 1]
     sigma = np.sqrt(covariance[..., 0, 0])[..., None]
     slope = (covariance[..., 0, 1] / covariance[..., 0, 0])[..., None]
@@ -50,20 +52,15 @@ def possible(mean: Array, covariance: Array, largest: float) -> Possible:
     at = low + (high - low) * (np.arange(NODES) + 0.5) / NODES
     centre = h + slope * (at - f)
     below, above = (-at - centre) / narrow, (at - centre) / narrow
-    # log of Phi(above) - Phi(below), on the side where both are small
-    mirrored = below > 0
-    upper = log_ndtr(np.where(mirrored, -below, above))
-    lower = log_ndtr(np.where(mirrored, -above, below))
-    part = upper + np.log(-np.expm1(np.minimum(lower - upper, -TINY)))
+    near = ~((below < -FAR_EDGE) & (above > FAR_EDGE))
+    part, inner, bent = np.zeros((3, *near.shape))
+    part[near], inner[near], bent[near] = _between(below[near], above[near])
     density = part - ((at - f) / sigma) ** 2 / 2
     top = density.max(axis=-1, keepdims=True)
     weight = np.exp(density - top)
     total = weight.sum(axis=-1)
     width = ((high - low) / sigma)[..., 0] / NODES / math.sqrt(2 * math.pi)
     logarithm = np.log(total * width) + top[..., 0]
-    density_at = np.exp(-(np.stack([below, above]) ** 2) / 2 - part) / math.sqrt(2 * math.pi)
-    inner = density_at[0] - density_at[1]
-    bent = below * density_at[0] - above * density_at[1]
     variance = np.maximum(narrow**2 * (1 + bent - inner**2), 0.0)
     weight /= total[..., None]
     off = np.stack([at - f, centre + narrow * inner - h])
@@ -72,6 +69,21 @@ def possible(mean: Array, covariance: Array, largest: float) -> Possible:
     spread = np.einsum("...k,i...k,j...k->...ij", weight, off, off)
     spread[..., 1, 1] += np.sum(weight * variance, axis=-1)
     return Possible(logarithm, np.moveaxis(shift, 0, -1), spread)
+
+
+def _between(below: Array, above: Array) -> tuple[Array, Array, Array]:
+    """Return the logarithm of the probability that a standard normal is between these (n,), its
+    mean there, and its variance there less 1 plus the square of its mean."""
+    from scipy.special import log_ndtr
+
+    # on the side where both are small
+    mirrored = below > 0
+    upper = log_ndtr(np.where(mirrored, -below, above))
+    lower = log_ndtr(np.where(mirrored, -above, below))
+    part = upper + np.log(-np.expm1(np.minimum(lower - upper, -TINY)))
+    edges = below, above
+    first, last = (np.exp(-(edge**2) / 2 - part) / math.sqrt(2 * math.pi) for edge in edges)
+    return part, first - last, below * first - above * last
 
 
 def positive(mean: Array, sigma: Array) -> tuple[Array, Array]:

@@ -184,9 +184,7 @@ class MeanStaircases:
         self, current: Array, lost: list[Array], friction: Sequence[Array]
     ) -> tuple[Array, Array, Array, Array, Array]:
         """Return what `_fit` does, for columns without a loss by heat or with one."""
-        q, r = self._factors(current, lost, friction)
-        projected = np.swapaxes(q, 2, 3) @ self._torque
-        rest = np.sum((self._torque - q @ projected) ** 2, axis=2)
+        r, projected, rest = self._factors(current, lost, friction)
         square = rest[..., 0] @ self._share
         variance = (np.maximum(square, TINY) / self.dof)[:, None, None, None]
         # The inverse of a leading block of a triangle is the leading block of its inverse.
@@ -236,14 +234,18 @@ class MeanStaircases:
 
     def _factors(
         self, current: Array, lost: list[Array], friction: Sequence[Array]
-    ) -> tuple[Array, Array]:
-        """Return QR factors (s, g, p, c), (s, g, c, c) of (1) for columns of friction (s, g, p);
-        theirs are the last two before the ripple's i |i|."""
+    ) -> tuple[Array, Array, Array]:
+        """Return the triangle R (s, g, c, c) of (1) for columns of friction (s, g, p), which are
+        the last two before the ripple's i |i|; Q' times the torques (s, g, c, 2); and the squares
+        (s, g, 2) that least squares leave of these: all by the R of columns and torques."""
         smooth = np.stack([current, self._weight, self._step, *lost], axis=2)
         plain = np.broadcast_to(smooth, (len(friction[0]), *smooth.shape))
         curved = np.broadcast_to((current * np.abs(current))[..., None], (*plain.shape[:3], 1))
-        q, r = np.linalg.qr(np.concatenate([plain, np.stack(friction, axis=3), curved], axis=3))
-        return q, r
+        torque = np.broadcast_to(self._torque, (*plain.shape[:3], 2))
+        columns = [plain, np.stack(friction, axis=3), curved, torque]
+        r = np.asarray(np.linalg.qr(np.concatenate(columns, axis=3), mode="r"), dtype=np.float64)
+        c = r.shape[3] - 2
+        return r[..., :c, :c], r[..., :c, c:], np.sum(r[..., c:, c:] ** 2, axis=2)
 
     def smooth(self, common: Common) -> None:
         """Take off the courses what a hypothesis leaves of the mean torques, as noise; and off
@@ -342,8 +344,8 @@ class MeanStaircases:
     def _levels(self, time_constant: float, a: Array, b: Array) -> tuple[Array, Array]:
         """Return friction's largest torque (n,) and state (n, g, p) for its columns (n, g, p)."""
         current, lost = self.thermal(time_constant)
-        q, r = self._factors(current, [lost], [a, b])
-        found = np.linalg.solve(r, np.swapaxes(q, 2, 3) @ self._torque[..., :1])[..., -3:-1, 0]
+        r, projected, _ = self._factors(current, [lost], [a, b])
+        found = np.linalg.solve(r, projected)[..., -3:-1, 0]
         level = found[..., 0] @ self._share
         along = a * found[..., :1] + b * found[..., 1:]
         friction = -along / np.maximum(level, 1e-12 * self._span)[:, None, None]

@@ -1,8 +1,11 @@
 """What is possible for friction and heat, against sums and drawn values of it."""
 
+import math
+
 import numpy as np
 import pytest
 
+from rigtool.experiments.torque_constant.staircases import friction_cone
 from rigtool.experiments.torque_constant.staircases.friction_cone import (
     begins_with,
     positive,
@@ -40,6 +43,18 @@ def test_friction_that_is_known_well_stays_as_it_is():
     assert found.logarithm == pytest.approx(0.0, abs=1e-6)
     np.testing.assert_allclose(found.shift, 0, atol=1e-9)
     np.testing.assert_allclose(found.covariance, covariance, rtol=1e-3)
+
+
+def test_edges_far_from_what_is_found_change_nothing(monkeypatch):
+    """From edges within a standard deviation to edges beyond twenty, on one side or on both."""
+    mean = np.stack([np.ones(81), np.linspace(-1.2, 1.2, 81)], axis=1)
+    own = np.array([[1.0, 0.3], [0.3, 0.5]]) * np.array([1e-3, 1e-2, 0.1])[:, None, None, None]
+    covariance = np.broadcast_to(own, (3, 81, 2, 2))
+    mean = np.broadcast_to(mean, (3, 81, 2))
+    found = possible(mean, covariance, 9.0)
+    monkeypatch.setattr(friction_cone, "FAR_EDGE", math.inf)
+    for name, value in vars(possible(mean, covariance, 9.0)).items():
+        np.testing.assert_allclose(getattr(found, name), value, rtol=1e-12, atol=1e-15)
 
 
 @pytest.mark.parametrize("mean", [(-30.0, 0.0), (0.5, 30.0), (60.0, 0.0)])
