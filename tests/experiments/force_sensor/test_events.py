@@ -186,6 +186,14 @@ def test_intervals_of_start_and_end_hold_the_times_of_weak_pulses():
     assert np.sqrt(np.mean(np.square(pulls))) > 0.3
 
 
+def test_an_event_starts_behind_the_one_before():
+    """Between them the interval holds zero, but the torque is more than half of the second one."""
+    rows = np.full(400, 0.9e-3)
+    rows[:20], rows[20:60], rows[300:340] = 0.0, 20e-3, 1.5e-3
+    first, second = shown(rows, [Contact(100, 110, 300), Contact(1500, 1510, 1699)])
+    assert first.end[0] < second.start[0] < 61
+
+
 def test_events_share_no_row():
     rng = np.random.default_rng(3)
     for _ in range(20):
