@@ -22,7 +22,7 @@ from rigtool.experiments.force_model.contacts import (
     JUMP_WINDOW,
     MotionKind,
 )
-from rigtool.experiments.force_sensor.events import UNSEEN, events
+from rigtool.experiments.force_sensor.events import LET_GO_TIME, UNSEEN, events
 from rigtool.experiments.force_sensor.results_over_time import (
     TorqueRows,
     over_time_tables,
@@ -141,7 +141,8 @@ def _contact_notes(limits: Array) -> list[str]:
     return [
         f"contacts are found by torques that rise within {JUMP_WINDOW * 1e3:.0f} ms by more than "
         f"{', '.join(known)}: the tables show such errors less than once in "
-        f"{1 / max(map(sum, FALSE_ALARMS)) / 3600:.0f} h{slow}"
+        f"{1 / max(map(sum, FALSE_ALARMS)) / 3600:.0f} h{slow}; and where twice the interval of "
+        f"the whole recording does not hold zero for {LET_GO_TIME:g} s"
     ]
 
 
