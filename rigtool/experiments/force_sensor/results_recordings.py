@@ -75,11 +75,7 @@ def force_outcome(
 
 
 def _events(parts: Sequence[tuple[int, TorqueRows]]) -> dict[str, Table]:
-    """Return the table of contacts of numbered stretches; none without contacts.
-
-    Contacts are found by samples so far. A torque that the whole recording does not distinguish
-    from zero there is none.
-    """
+    """Return the table of contacts of numbered stretches; none without contacts."""
     found: list[tuple[float, ...]] = []
     for number, row in parts:
         known = row.states != State.OUTSIDE
