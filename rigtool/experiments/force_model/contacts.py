@@ -22,16 +22,15 @@ Stat. 3(1) 119-131, 1975, shape 0), whose mean m is known from the n values that
 A contact begins where M passed half of its highest value in the WINDOW after the contact was found,
 and where it was found at the latest. It ends where M falls below half of its mean so far: such a
 value is as near to no contact as to that mean. A force that swings through zero is found in each
-half wave. Contacts are one event where the torque's interval between them holds zero for less than
-`LET_GO_TIME` at a time. A contact leaves the filter's friction wrong, and a level that seems to be
-another one for `LEVEL_MEMORY`: `events` looks there at a torque from the whole recording.
+half wave. A contact leaves the filter's friction wrong, and a level that seems to be another one
+for `LEVEL_MEMORY`: `force_sensor.events` looks there at a torque from the whole recording.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
@@ -39,7 +38,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rigtool.experiments.force_filter.highest import highest
 from rigtool.experiments.force_filter.motion_states import CREEPING_KIND, State, States
-from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled_allocating
 from rigtool.numerics.recursion import Biquad, filtered
 
@@ -57,12 +56,6 @@ REVERSAL_TIME = 3 * JUMP_WINDOW
 LEVEL_MEMORY = 1.0
 """Memory of the level's errors, and the longest time from the begin of a contact to its finding,
 s."""
-
-LET_GO_TIME = 0.2
-"""Time without a torque, s, after which another contact begins: fingers tap five times a second."""
-
-SURE = 2.0
-"""Intervals of 95 % that hold an error in a second of memory: 99.99 % in each of its moments."""
 
 FALSE_ALARMS = ((1 / 72000, 1 / 7200), (1 / 7200, 1 / 7200), (1 / 7200, 1 / 7200))
 """Rates of false alarms by jump and by level, Hz, in motion of each `MotionKind`: one in two hours.
@@ -219,59 +212,3 @@ def _contacts(
     if found >= 0:
         rows.append((begin, found, len(torque) - 1))
     return rows
-
-
-def events(
-    found: Sequence[Contact], torque: Array, half: Array, every: int, row_time: float
-) -> list[Contact]:
-    """Return the contacts that a torque (m,) N m shows, which is known to `half` (m,) N m either
-    way: as one where nothing lets go between them.
-
-    A row of the torque is `every` steps or `row_time` s. The fall of a contact may be found as
-    another one, which begins with its end: within `JUMP_WINDOW` it shows none. The filter without
-    contacts remembers one for `LEVEL_MEMORY`. What it finds there is another one only where `SURE`
-    times `half` does not hold zero, and begins where something let go last before. A contact's end
-    is found late, by the lag of the filter without contacts: it ends where this torque falls.
-    """
-    nothing, sure = np.abs(torque) <= half, np.abs(torque) > SURE * half
-    joined, stop, memory, last = list[Contact](), 0, 0, -1
-    for contact in found:
-        own = contact.rows(every)
-        remembered = own.start < memory
-        memory = own.stop + round(LEVEL_MEMORY / row_time)
-        falls = contact.begin <= last
-        first = own.start + (round(JUMP_WINDOW / row_time) if falls else 0)
-        if not (sure if remembered else ~nothing)[first : own.stop].any():
-            continue
-        if remembered:
-            surely = first + int(sure[first : own.stop].argmax())
-            begin = (own.start + _let_go(nothing[own.start : surely], row_time)) * every
-            if begin > contact.begin:
-                contact = replace(contact, begin=begin, found=max(begin, contact.found))
-        last = contact.end
-        contact = replace(contact, end=_ended(contact, torque, every, row_time))
-        if joined and not _let_go(nothing[stop : contact.rows(every).start], row_time):
-            joined[-1] = replace(joined[-1], end=contact.end)
-        else:
-            joined.append(contact)
-        stop = own.stop
-    return joined
-
-
-def _ended(contact: Contact, torque: Array, every: int, row_time: float) -> int:
-    """Return the step at which a torque falls below half of its mean since the contact was found:
-    by `JUMP_WINDOW` earlier than found at most."""
-    first, end = contact.found // every, contact.rows(every).stop - 1
-    own = torque[first : end + 1] * np.sign(torque[first : end + 1].sum())
-    above = own >= own.mean() / 2
-    late = int(above[::-1].argmax()) if above.any() else 0
-    if not late or late * row_time > JUMP_WINDOW:
-        return contact.end
-    return (end - late + 1) * every
-
-
-def _let_go(nothing: Mask, row_time: float) -> int:
-    """Return the end of the last run of at least `LET_GO_TIME`; 0 without one."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], nothing.astype(np.int8), [0]])))
-    long = (ends[1::2] - ends[::2]) * row_time >= LET_GO_TIME
-    return int(ends[1::2][long].max(initial=0))

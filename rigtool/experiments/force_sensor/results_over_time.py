@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -154,20 +155,20 @@ def peak(torque: Array, u: Array) -> tuple[float, float]:
     The peak is the torque M whose 95 % interval is farthest from zero: the largest torque alone may
     be that of a row of large u, such as the last ones. Two things are open besides u of that row:
 
-        u_p^2 = u^2 (1 + 2 ln n) + (max|torque| - |M|)^2 / 3
+        u_p^2 = u^2 (1 + e_n^2) + (max|torque| - |M|)^2 / 3,    e_n = Phi^-1((n - 3/8) / (n + 1/4))
 
     Of n maxima whose intervals hold M, which may all be alike, the one with the largest error is
-    taken: the largest of n normal errors is about sqrt(2 ln n) u (H. A. David, H. N. Nagaraja,
-    Order Statistics, 3rd ed. 2003, chapter 10). The torque may have been as large as the largest
-    one, in a row of larger u: a rectangle (GUM 4.3.7).
+    taken: the largest of n normal errors is e_n u on average (G. Blom, Statistical Estimates and
+    Transformed Beta-Variables, 1958), one of them alone is not biased. The torque may have been as
+    large as the largest one, in a row of larger u: a rectangle (GUM 4.3.7).
     """
     size = np.abs(torque)
     row = int(np.argmax(size - COVERAGE_FACTOR * u))
     beside = np.pad(size, 1, constant_values=-np.inf)
     maximum = (size >= beside[:-2]) & (size > beside[2:])
     alike = int(np.count_nonzero(maximum & (size + COVERAGE_FACTOR * u >= size[row])))
-    chance = 1 + 2 * math.log(max(alike, 1))
-    variance = u[row] ** 2 * chance + (size.max() - size[row]) ** 2 / 3
+    largest = NormalDist().inv_cdf((max(alike, 1) - 3 / 8) / (max(alike, 1) + 1 / 4))
+    variance = u[row] ** 2 * (1 + largest**2) + (size.max() - size[row]) ** 2 / 3
     return float(torque[row]), math.sqrt(variance)
 
 

@@ -21,9 +21,9 @@ from rigtool.experiments.force_model.contacts import (
     FALSE_ALARMS,
     JUMP_WINDOW,
     MotionKind,
-    events,
 )
 from rigtool.experiments.force_model.intervals import SHOWN_FACTOR
+from rigtool.experiments.force_sensor.events import LET_GO_TIME, UNSEEN, events
 from rigtool.experiments.force_sensor.results_over_time import (
     TorqueRows,
     over_time_tables,
@@ -76,47 +76,42 @@ def force_outcome(
 
 
 def _events(parts: Sequence[tuple[int, TorqueRows]]) -> dict[str, Table]:
-    """Return the table of contacts of numbered stretches; none without contacts.
-
-    Contacts are found by samples so far. A torque that the whole recording does not distinguish
-    from zero there is none.
-    """
+    """Return the table of contacts of numbered stretches; none without contacts."""
     found: list[tuple[float, ...]] = []
     for number, row in parts:
-        step_time = row.step_time / row.every
         known = row.states != State.OUTSIDE
-        half = np.where(known, COVERAGE_FACTOR * row.u, np.inf)
-        for event in events(row.contacts, row.torque, half, row.every, row.step_time):
-            span = event.rows(row.every)
+        for event in events(row):
+            span = event.rows
             torque, u = row.torque[span][known[span]], row.u[span][known[span]]
             rms = float(np.sqrt(np.mean(torque**2)))
             clear = torque[np.abs(torque) > COVERAGE_FACTOR * u]
             waves = 1 + int(np.count_nonzero(np.diff(np.sign(clear))))
-            times = row.time[0] + step_time * np.array([event.begin, event.found, event.end])
+            seen = math.nan if event.found == UNSEEN else event.found / row.every
+            times = row.time[0] + row.step_time * np.array([event.start[0], seen, event.end[0]])
+            times_u = row.step_time * event.start[1], row.step_time * event.end[1]
             means = torque.mean(), u.mean(), rms, np.mean(np.abs(torque) * u) / rms
-            found.append((number, *times, *peak(torque, u), *means, waves))
+            found.append((number, *times, *times_u, *peak(torque, u), *means, waves))
     if not found:
         return {}
     numbers = np.array(found).T
-    u_time = np.full(len(found), JUMP_WINDOW / math.sqrt(12))
     columns = {
         "event": Column(np.arange(len(found)), "1"),
         "recording": Column(numbers[0].astype(np.int32), "1", "of this run, in order"),
         "start": Column(numbers[1], "s", "bench clock, where the torque passes half of it"),
-        "start_u": Column(u_time, "s", "standard uncertainty of start"),
-        "found": Column(numbers[2], "s", "first time at which samples up to it show the contact"),
+        "start_u": Column(numbers[4], "s", "standard uncertainty of start"),
+        "found": Column(numbers[2], "s", "first time at which samples up to it show it, NaN: none"),
         "end": Column(
             numbers[3], "s", "bench clock, where the torque falls below half of its mean"
         ),
-        "end_u": Column(u_time, "s", "standard uncertainty of end"),
-        "peak": Column(numbers[4], "N m", "torque whose interval is farthest from zero"),
-        "peak_u": Column(numbers[5], "N m", "standard uncertainty of peak"),
-        "mean": Column(numbers[6], "N m", "mean torque from start to end"),
-        "mean_u": Column(numbers[7], "N m", "standard uncertainty of mean"),
-        "rms": Column(numbers[8], "N m", "root mean square of the torque from start to end"),
-        "rms_u": Column(numbers[9], "N m", "standard uncertainty of rms"),
+        "end_u": Column(numbers[5], "s", "standard uncertainty of end"),
+        "peak": Column(numbers[6], "N m", "torque whose interval is farthest from zero"),
+        "peak_u": Column(numbers[7], "N m", "standard uncertainty of peak"),
+        "mean": Column(numbers[8], "N m", "mean torque from start to end"),
+        "mean_u": Column(numbers[9], "N m", "standard uncertainty of mean"),
+        "rms": Column(numbers[10], "N m", "root mean square of the torque from start to end"),
+        "rms_u": Column(numbers[11], "N m", "standard uncertainty of rms"),
         "half_waves": Column(
-            numbers[10].astype(np.int32), "1", "two in a period of a force that swings, else 1"
+            numbers[12].astype(np.int32), "1", "two in a period of a force that swings, else 1"
         ),
     }
     return {"events": Table(("event",), columns, "mean", "contacts found in the torque over time")}
@@ -143,7 +138,8 @@ def _contact_notes(limits: Array) -> list[str]:
     return [
         f"contacts are found by torques that rise within {JUMP_WINDOW * 1e3:.0f} ms by more than "
         f"{', '.join(known)}: the tables show such errors less than once in "
-        f"{1 / max(map(sum, FALSE_ALARMS)) / 3600:.0f} h{slow}"
+        f"{1 / max(map(sum, FALSE_ALARMS)) / 3600:.0f} h{slow}; and where twice the interval of "
+        f"the whole recording does not hold zero for {LET_GO_TIME:g} s"
     ]
 
 

@@ -10,10 +10,8 @@ from rigtool.experiments.force_filter.motion_states import CREEPING_KIND, State
 from rigtool.experiments.force_model.contacts import (
     FALSE_ALARMS,
     JUMP_WINDOW,
-    Contact,
     MotionKind,
     contacts,
-    events,
     thresholds,
     trial,
 )
@@ -171,96 +169,3 @@ def test_no_contact_begins_before_another_one_has_ended():
     torque[6000:7000], torque[7000:7500], torque[7500:9000] = 60e-3, 28e-3, 50e-3
     first, second = contacts(look(torque + errors(14, 5)), LIMITS)
     assert first.end <= second.begin
-
-
-EVERY, HALF = 5, 1e-3
-
-
-def listed(torque):
-    """Return begin and end of the events of a torque at each step, N m, s."""
-    found = contacts(look(torque), LIMITS)
-    rows = torque[::EVERY]
-    half = np.full(len(rows), HALF)
-    own = events(found, rows, half, EVERY, EVERY * STEP)
-    return len(found), [(event.begin * STEP, event.end * STEP) for event in own]
-
-
-@pytest.mark.parametrize("hz", [0.7, 3.0, 8.0])
-def test_a_force_that_swings_is_one_event(hz):
-    time = STEP * np.arange(12000)
-    torque = np.where((time > 4) & (time < 9), 20e-3 * np.sin(2 * np.pi * hz * (time - 4)), 0.0)
-    found, ((begin, end),) = listed(torque)
-    assert found > 3
-    assert begin == pytest.approx(4.0, abs=0.1 / hz)
-    assert end == pytest.approx(9.0, abs=0.5 / hz)
-
-
-@pytest.mark.parametrize(("apart", "count"), [(0.15, 1), (0.3, 2)])
-@pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_what_lets_go_ends_an_event(apart, count, side):
-    time = STEP * np.arange(9000)
-    torque = 10e-3 * ((time > 4) & (time < 5))
-    torque += side * 15e-3 * ((time > 5 + apart) & (time < 6))
-    assert len(listed(torque)[1]) == count
-
-
-def test_what_may_be_nothing_for_long_is_touched_by_nobody():
-    """Without a value, the interval holds everything."""
-    rows, half = np.full(200, 5e-3), np.full(200, HALF)
-    half[90:140] = np.inf
-    found = [Contact(100, 110, 449), Contact(450, 460, 690), Contact(700, 710, 900)]
-    assert events(found, rows, half, EVERY, 5e-3) == [found[0], found[2]]
-
-
-@pytest.mark.parametrize("side", [-1.0, 1.0])
-@pytest.mark.parametrize(("late", "end"), [(0, 300), (25, 300), (60, 300), (65, 360)])
-def test_a_contact_ends_where_the_torque_of_the_whole_recording_falls(side, late, end):
-    """The filter without contacts shows it later, by less than a jump's time."""
-    rows = np.zeros(200)
-    rows[20:60], rows[60:] = 20e-3, 8e-3
-    found = [Contact(100, 110, 295 + late)]
-    half = np.full(len(rows), HALF)
-    (own,) = events(found, side * rows, half, EVERY, 5e-3)
-    assert own == Contact(100, 110, end if late else 295)
-    rows[60:] = 12e-3  # not below half of the mean: what the filter shows counts
-    (own,) = events(found, side * rows, half, EVERY, 5e-3)
-    assert own == found[0]
-
-
-def test_the_fall_of_a_contact_is_no_contact():
-    """It begins with the end of the contact, and soon shows nothing."""
-    rows = np.zeros(200)
-    rows[20:60], rows[60:66] = 20e-3, 5e-3
-    found = [Contact(100, 110, 300), Contact(300, 310, 600)]
-    half = np.full(len(rows), HALF)
-    assert events(found, rows, half, EVERY, 5e-3) == found[:1]
-    rows[60:100] = 5e-3
-    (whole,) = events(found, rows, half, EVERY, 5e-3)
-    assert whole == Contact(100, 110, 600)
-
-
-def test_what_the_filter_remembers_of_a_contact_is_no_contact():
-    """Its level seems to be one for a second; a few intervals miss zero by chance."""
-    rows, half = np.zeros(400), np.full(400, HALF)
-    rows[20:60], rows[60:140], rows[110:120] = 20e-3, 0.6e-3, 1.95e-3
-    first = Contact(100, 110, 300)
-    remembered = [Contact(300, 340, 700), Contact(450, 560, 700)]
-    for other in remembered:
-        assert events([first, other], rows, half, EVERY, 5e-3) == [first]
-    # the same is one where nothing is remembered, or where twice the interval does not hold zero
-    later = Contact(540, 560, 700)
-    rows[20:60], rows[30:50] = 0.0, 20e-3
-    early = Contact(150, 160, 250)
-    assert events([later], rows, half, EVERY, 5e-3) == [later]
-    rows[110:120] = 2.1e-3
-    found = events([early, remembered[0]], rows, half, EVERY, 5e-3)
-    assert found == [early, Contact(550, 550, 700)]
-
-
-def test_a_touch_that_the_memory_of_another_one_hides_begins_where_it_does():
-    rows, half = np.zeros(400), np.full(400, HALF)
-    rows[20:60], rows[60:110], rows[110:180] = 20e-3, 0.6e-3, 8e-3
-    first = Contact(100, 110, 300)
-    for seen in (380, 550, 620):
-        own = events([first, Contact(300, seen, 900)], rows, half, EVERY, 5e-3)
-        assert own == [first, Contact(550, max(seen, 550), 900)]
