@@ -49,12 +49,12 @@ class Shown:
 
 
 BY_REST = Shown(
-    ("tip_length", "stribeck_speed"),
-    (Kind.BEARING, Kind.STRIBECK, Kind.BEARING_DAMPING, Kind.HOUSING, Kind.HOUSING_SIDED),
+    ("tip_length", "stribeck_speed", "direction_ratio"),
+    (Kind.BEARING, Kind.STRIBECK, Kind.BEARING_DAMPING, Kind.HOUSING),
 )
 BY_TURNS = Shown(
-    ("grasper_inertia",),
-    (Kind.INERTIA, Kind.DELAY, Kind.VISCOUS, Kind.BEARING, Kind.HOUSING, Kind.HOUSING_SIDED),
+    ("grasper_inertia", "direction_ratio"),
+    (Kind.INERTIA, Kind.DELAY, Kind.VISCOUS, Kind.BEARING, Kind.HOUSING),
 )
 """What rest and reversals determine, and what the turns of fast strokes determine."""
 

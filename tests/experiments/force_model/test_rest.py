@@ -44,7 +44,6 @@ FRICTIONS = {
     Kind.STRIBECK: (1e-3, 2e-4),
     Kind.BEARING_DAMPING: (1e-6, 2e-6),
     Kind.HOUSING: (9e-3, 3e-3),
-    Kind.HOUSING_SIDED: (0.3e-3, 0.3e-3),
     Kind.LOAD_FRICTION: (0.1, 1e-3),
     Kind.INERTIA: (0.0, 8e-7),
     Kind.DELAY: (0.0, 1e-8),
@@ -64,7 +63,7 @@ def model():
         for kind in (Kind.BEARING, Kind.HOUSING)
     )
     correlation[bearing, housing] = correlation[housing, bearing] = -0.9999
-    shape = Shape(2e-3, 8e-3, 5e-3, 0.3, 0.03, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3)
+    shape = Shape(2e-3, 8e-3, 5e-3, 0.3, 0.03, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3, 1.06)
     covariance = correlation * np.outer(u, u)
     known = Known(0.85, 1.18, 2e-5)
     return LearnedModel(TERMS, shape, known, coefficient, covariance, np.ones(2))
