@@ -56,9 +56,12 @@ BY_TURNS = Shown(
     ("grasper_inertia",),
     (Kind.INERTIA, Kind.DELAY, Kind.VISCOUS, Kind.BEARING, Kind.HOUSING),
 )
-"""What rest and reversals determine, and what the turns of fast strokes determine. Of the ratio of
-both directions' friction sliding knows more: with a coarse encoder, errors of the bristles' lengths
-look like another ratio, which a constant torque makes up for while the rotor slides."""
+"""What rest and reversals determine, and what the turns of fast strokes determine."""
+
+LEAST_COUNTS = 2.0
+"""Mean length of the bristles by their friction, in counts, from which on turns show how friction
+differs by direction. With longer counts, errors of the lengths look like another ratio of both
+directions, for which a constant torque makes up while the rotor slides."""
 
 CORNER_HZ = 10.0
 FILTER_SETTLING_TIME = 1.0
@@ -156,7 +159,12 @@ def learn_turns(
     grows with the speed squared, other errors there do not. Sliding shows the inertia little, since
     turns are left out there.
     """
-    return PredictionProblem(learned, strokes, held(uncertainty), BY_TURNS).solution([])
+    shown, plant = BY_TURNS, plant_of(learned, strokes[0].grid.sample_time)
+    bent = plant.coulomb * plant.presliding_angle
+    bent += plant.housing_friction * plant.housing_presliding_angle
+    if bent >= LEAST_COUNTS * strokes[0].count * friction_of(plant):
+        shown = replace(shown, shape=(*shown.shape, "direction_ratio"))
+    return PredictionProblem(learned, strokes, held(uncertainty), shown).solution([])
 
 
 class PredictionProblem:

@@ -206,6 +206,22 @@ def test_turns_of_fast_strokes_show_the_inertia():
     assert abs(after - true) < 2 * np.sqrt(found.covariance[inertia, inertia])
 
 
+@pytest.mark.parametrize("counts", [5, 1])
+def test_they_show_how_friction_differs_by_direction_where_a_bristle_has_counts(counts):
+    truth = replace(model(), length_u=np.full(2, 0.1))
+    covariance, place = truth.covariance.copy(), SLIDING_PARAMETERS.index("direction_ratio")
+    covariance[place, place] = 0.3**2
+    alike = replace(truth.shape, direction_ratio=1.0)
+    wrong = replace(truth, shape=alike, covariance=covariance)
+    width = truth.shape.housing_length / counts
+    strokes = [explored(truth, 4.0, period=0.2, sizes=(1.5, 1.5), width=width)]
+    found = learn_turns(wrong, strokes, UNCERTAINTY).shape.direction_ratio
+    if counts == 1:
+        assert found == pytest.approx(1.0, rel=1e-9)
+    else:
+        assert found == pytest.approx(truth.shape.direction_ratio, abs=0.03)
+
+
 def test_they_show_drag_besides():
     truth = replace(model(), length_u=np.full(2, 0.1))
     wrong = off_by(truth, Kind.VISCOUS, 1.5e-5)
