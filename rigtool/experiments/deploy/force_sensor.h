@@ -114,8 +114,8 @@ struct rs_model {
     rs_real ripple_kept, delay_kept; /* what a sample leaves of the lagging ripple and torque */
     /* the drive: experiments/force_filter/plant.py has the equations */
     rs_real inertia, coulomb, static_friction, stribeck_velocity, presliding_angle;
-    rs_real presliding_damping, angle_ratio, torque_factor, stiffness, damping, grasper_inertia;
-    rs_real housing_friction, housing_asymmetry, housing_presliding_angle;
+    rs_real asymmetry, presliding_damping, angle_ratio, torque_factor, stiffness, damping;
+    rs_real grasper_inertia, housing_friction, housing_asymmetry, housing_presliding_angle;
     rs_real tip_friction, tip_presliding_angle, load_friction, load_friction_onset;
     /* how far the equations may be off: standard deviations, and squares of random walks a step */
     rs_real stroke, load_stroke, friction_noise, noise_kept, undecided, edge;
@@ -391,9 +391,10 @@ static inline void rs_advance(struct rigtool_sensor *s, rs_real torque, rs_real 
     rs_real bump = RS_MATH(fabs)(fast) < 5
         ? (m->static_friction - m->coulomb) * rs_exp(-fast * fast) : 0;
     rs_real level = m->coulomb + bump;
-    rs_real shape = z.after + rate * (z.after - x[RS_BRISTLE]);
+    rs_real leaning = m->asymmetry * z.after;
+    rs_real shape = (1 + leaning) * z.after + rate * (z.after - x[RS_BRISTLE]);
     rs_real bearings = level * shape + x[RS_NOISE] * z.after + viscous * w;
-    rs_real by_z = level * (1 + rate) + x[RS_NOISE];
+    rs_real by_z = level * (1 + 2 * leaning + rate) + x[RS_NOISE];
     rs_real by_w = viscous - 2 / m->stribeck_velocity * fast * bump * shape;
 
     /* housing; sine and cosine by series that end, so within 3e-9 */

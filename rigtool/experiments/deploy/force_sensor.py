@@ -55,7 +55,7 @@ def sensor_header(
 
     `coverage_factor` is that of the interval, and `origin` are the lines about where the numbers
     come from. Raises `ValueError` for samples further apart than those of the equations, for an
-    output without inertia, bearings with asymmetry, and numbers that are not finite.
+    output without inertia, and numbers that are not finite.
     """
     grid, model = instrument.grid, instrument.model
     if not grid.immediate:
@@ -64,10 +64,9 @@ def sensor_header(
             f"later ones, above {1 / LONGEST_EXACT:.0f} Hz they do not"
         )
     plant = model.plant(grid.sample_time)
-    if plant.grasper_inertia <= 0 or plant.asymmetry != 0:
+    if plant.grasper_inertia <= 0:
         raise ValueError(
-            f"inertia of the output {plant.grasper_inertia:g} kg m2, asymmetry of the bearings "
-            f"{plant.asymmetry:g}: the equations in C need an inertia, and have no asymmetry"
+            f"inertia of the output {plant.grasper_inertia:g} kg m2: the equations in C need one"
         )
     numbers = {
         **_drive(instrument),
@@ -140,7 +139,7 @@ def _drive(instrument: SensorProperties) -> dict[str, Number]:
     equations = {
         name: getattr(plant, name)
         for name in plant.__dataclass_fields__
-        if name not in ("static", "asymmetry", "housing_viscous", "friction_map")
+        if name not in ("static", "housing_viscous", "friction_map")
     }
     return {
         **equations,

@@ -18,11 +18,11 @@ the output's angle times the quantity that it modulates:
     RIPPLE            lag(cos), lag(sin)           ripple of the amplifier, which lags
     GAIN_RIPPLE       lag(kT i cos), ..            ripple in proportion to the current
     SQUARE_RIPPLE     lag(kT i |i| cos), ..        and to its square
-    BEARING           z_b                          friction of the short bristle
-    STRIBECK          z_b exp(-(b'/v)^2)           its rise at low speed
+    BEARING           z_b (1 + A z_b)              friction of the short bristle
+    STRIBECK          z_b (1 + A z_b) e^-(b'/v)^2  its rise at low speed
     BEARING_DAMPING   b' while z_b changes         damping of pre-sliding
-    HOUSING           z_h cos, z_h sin             friction of the long bristle, by output angle
-    HOUSING_SIDED     z_h^2                        its difference between the directions
+    HOUSING           z_h (1 + A z_h)              friction of the long bristle; and by the output's
+                                                   angle z_h cos, z_h sin
     LOAD_FRICTION     z_h (sqrt(s^2 + o^2) - o)/n  friction that grows with the torque carried, less
                                                    where pre-tension o hides it; and the same times
                                                    cos, sin of the output angle
@@ -31,7 +31,8 @@ the output's angle times the quantity that it modulates:
 
 Bristles z follow P. R. Dahl, AIAA J. 14(12) 1675-1682, 1976; two of them in series of lengths are
 the smallest model of the Generalised Maxwell-Slip family (F. Al-Bender, V. Lampaert, J. Swevers,
-Chaos 14(2) 446-460, 2004). Unknown parameters are learned from known loads: `learning`.
+Chaos 14(2) 446-460, 2004). A is the asymmetry of all friction: that of one bristle alone would not
+show in sliding. Unknown parameters are learned from known loads: `learning`.
 """
 
 from __future__ import annotations
@@ -62,7 +63,6 @@ class Kind(IntEnum):
     STRIBECK = 9
     BEARING_DAMPING = 10
     HOUSING = 11
-    HOUSING_SIDED = 12
     LOAD_FRICTION = 13
     CARRIED = 14
     DELAY = 15
@@ -85,8 +85,9 @@ class Shape:
 
     Lengths of the bristles of bearing and housing, rad of the motor, and of the tip, rad of the
     output; `stribeck_speed` rad/s; `ripple_time` s of the lag; tendon `stiffness` N m/rad and
-    `damping` N m s/rad, `tip_friction` N m, the `grasper_inertia` kg m2 of the bare output; and
-    `load_onset` N m, the torque in the tendon from which on friction grows with it.
+    `damping` N m s/rad, `tip_friction` N m, the `grasper_inertia` kg m2 of the bare output;
+    `load_onset` N m, the torque in the tendon from which on friction grows with it; and the
+    `direction_ratio` of friction in the positive direction to that in the negative one.
     """
 
     bearing_length: float
@@ -99,6 +100,16 @@ class Shape:
     tip_friction: float
     grasper_inertia: float
     load_onset: float
+    direction_ratio: float = 1.0
+
+    @property
+    def asymmetry(self) -> float:
+        """A: friction is (1 +- A) times its mean."""
+        return (self.direction_ratio - 1.0) / (self.direction_ratio + 1.0)
+
+    def friction(self, bristle: Array) -> Array:
+        """Return friction over its mean along a bristle's deflection z (n,): z (1 + A z)."""
+        return bristle * (1.0 + self.asymmetry * bristle)
 
 
 @dataclass(frozen=True)
@@ -167,8 +178,9 @@ class Prediction:
             time = shape.ripple_time
             whole += lagged(self._raw[None], record.interval, time, record.periodic)[0]
         same = state.output is self._state.output
+        same = same and shape.direction_ratio == self._shape.direction_ratio
         for term, coefficient, value in self._rest:
-            still = same and term.kind in (Kind.HOUSING, Kind.HOUSING_SIDED, Kind.CARRIED)
+            still = same and term.kind in (Kind.HOUSING, Kind.CARRIED)
             whole += coefficient * (value if still else state.function(term))
         return whole
 
@@ -236,9 +248,10 @@ class RecordState:
         if kind is Kind.INERTIA:
             return record.acceleration
         if kind is Kind.BEARING:
-            return self.bearing
+            return self.shape.friction(self.bearing)
         if kind is Kind.STRIBECK:
-            return self.bearing * np.exp(-((record.speed / self.shape.stribeck_speed) ** 2))
+            rise = np.exp(-((record.speed / self.shape.stribeck_speed) ** 2))
+            return self.shape.friction(self.bearing) * rise
         if kind is Kind.BEARING_DAMPING:
             speed, z = record.speed, self.bearing
             return (speed - np.abs(speed) * z) / self.shape.bearing_length
@@ -246,10 +259,10 @@ class RecordState:
             return self.carried / self.known.torque_factor
         if kind is Kind.DELAY:
             return record.torque_constant * record.current_rate
-        if kind in (Kind.HOUSING, Kind.HOUSING_SIDED, Kind.LOAD_FRICTION):
+        if kind is Kind.HOUSING and not term.order:
+            return self.shape.friction(self.housing)
+        if kind in (Kind.HOUSING, Kind.LOAD_FRICTION):
             value = self._wave(term) * self.housing if term.order else self.housing.copy()
-            if kind is Kind.HOUSING_SIDED:
-                value *= self.housing
             if kind is Kind.LOAD_FRICTION:
                 onset = self.shape.load_onset
                 value *= (np.hypot(self.carried, onset) - onset) / self.known.torque_factor
@@ -293,9 +306,9 @@ HOUSING_ORDERS, LOAD_FRICTION_ORDERS = range(1, 7), range(1, 3)
 OFFSET_SPREAD = 0.01
 """Prior of a constant torque besides the amplifier's offset, in parts of the friction."""
 
-INERTIA_SPREAD, SIDED_SPREAD, WAVE_SPREAD, DAMPING_TIME = 0.1, 0.1, 0.3, 1e-3
-"""Relative priors: the stated inertia; friction's difference between directions, and its waves by
-the angle, in parts of the friction; and the time, s, that damps pre-sliding."""
+INERTIA_SPREAD, WAVE_SPREAD, DAMPING_TIME = 0.1, 0.3, 1e-3
+"""Relative priors: the stated inertia; friction's waves by the angle, in parts of the friction; and
+the time, s, that damps pre-sliding."""
 
 LOAD_FRICTION_SPREAD = 0.3
 GAIN_SPREAD = 0.02
@@ -317,7 +330,6 @@ def terms_for(sizes: Sizes, known: Known) -> tuple[Term, ...]:
         Term(Kind.STRIBECK, sizes.friction),
         Term(Kind.BEARING_DAMPING, DAMPING_TIME * sizes.friction),
         Term(Kind.HOUSING, sizes.friction),
-        Term(Kind.HOUSING_SIDED, SIDED_SPREAD * sizes.friction),
         Term(Kind.LOAD_FRICTION, LOAD_FRICTION_SPREAD),
         Term(Kind.CARRIED, GAIN_SPREAD),
         Term(Kind.DELAY, DELAY_SPREAD),

@@ -50,13 +50,18 @@ class Shown:
 
 BY_REST = Shown(
     ("tip_length", "stribeck_speed"),
-    (Kind.BEARING, Kind.STRIBECK, Kind.BEARING_DAMPING, Kind.HOUSING, Kind.HOUSING_SIDED),
+    (Kind.BEARING, Kind.STRIBECK, Kind.BEARING_DAMPING, Kind.HOUSING),
 )
 BY_TURNS = Shown(
     ("grasper_inertia",),
-    (Kind.INERTIA, Kind.DELAY, Kind.VISCOUS, Kind.BEARING, Kind.HOUSING, Kind.HOUSING_SIDED),
+    (Kind.INERTIA, Kind.DELAY, Kind.VISCOUS, Kind.BEARING, Kind.HOUSING),
 )
 """What rest and reversals determine, and what the turns of fast strokes determine."""
+
+LEAST_COUNTS = 2.0
+"""Mean length of the bristles by their friction, in counts, from which on rest and turns show how
+friction differs by direction. With longer counts, errors of the lengths look like another ratio of
+both directions, for which a constant torque makes up while the rotor slides."""
 
 CORNER_HZ = 10.0
 FILTER_SETTLING_TIME = 1.0
@@ -128,8 +133,25 @@ def learn_rest(
     both shows alone, lengths and shares that the other contradicts explain as well.
     """
     unsure = replace(held(uncertainty), speed_rate=SPEED_RATE)
+    problem = PredictionProblem(learned, explorations, unsure, with_ratio(BY_REST))
+    found = problem.solution(problem.tried())
+    if shows_ratio(found, explorations[0]):
+        return found
     problem = PredictionProblem(learned, explorations, unsure, BY_REST)
     return problem.solution(problem.tried())
+
+
+def with_ratio(shown: Shown) -> Shown:
+    """Return what is shown with the ratio of both directions' friction."""
+    return replace(shown, shape=(*shown.shape, "direction_ratio"))
+
+
+def shows_ratio(model: LearnedModel, motion: Exploration) -> bool:
+    """Return whether the bristles have `LEAST_COUNTS` of a motion's encoder."""
+    plant = plant_of(model, motion.grid.sample_time)
+    bent = plant.coulomb * plant.presliding_angle
+    bent += plant.housing_friction * plant.housing_presliding_angle
+    return bent >= LEAST_COUNTS * motion.count * friction_of(plant)
 
 
 def held(uncertainty: Uncertainty) -> Uncertainty:
@@ -154,7 +176,8 @@ def learn_turns(
     grows with the speed squared, other errors there do not. Sliding shows the inertia little, since
     turns are left out there.
     """
-    return PredictionProblem(learned, strokes, held(uncertainty), BY_TURNS).solution([])
+    shown = with_ratio(BY_TURNS) if shows_ratio(learned, strokes[0]) else BY_TURNS
+    return PredictionProblem(learned, strokes, held(uncertainty), shown).solution([])
 
 
 class PredictionProblem:
@@ -231,7 +254,7 @@ class PredictionProblem:
             if n >= len(SLIDING_PARAMETERS)
         ]
         bearing, housing, rise = (
-            2 + len(BY_REST.shape) + kinds.index(kind)
+            len(self.start) - len(kinds) + kinds.index(kind)
             for kind in (Kind.BEARING, Kind.HOUSING, Kind.STRIBECK)
         )
         finer = self.learned.shape.bearing_length / self.explorations[0].count

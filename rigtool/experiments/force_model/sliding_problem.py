@@ -44,6 +44,7 @@ SHAPE_SPREAD = {
     "tip_friction": 1.0,
     "grasper_inertia": 1.0,
     "load_onset": 1.5,
+    "direction_ratio": 0.2,
 }
 """Prior standard deviation of the logarithm of each parameter."""
 

@@ -38,6 +38,7 @@ MODEL_UNITS = {
     "tip_friction": "N m",
     "grasper_inertia": "kg m2",
     "load_onset": "N m",
+    "direction_ratio": "1",
     "stroke": "N m",
     "load": "1",
     "noise": "N m",

@@ -105,8 +105,8 @@ class SignalWatch:
     ) -> None:
         own, reach = instrument, instrument.reach
         plant = own.model.plant(own.grid.sample_time)
-        housing = plant.housing_friction * (1 + abs(plant.housing_asymmetry))
-        friction = plant.static + housing * float(np.abs(plant.friction_map[:, 0]).max())
+        most = float(np.abs(plant.friction_map[:, 0]).max()) + abs(plant.housing_asymmetry)
+        friction = plant.static * (1 + abs(plant.asymmetry)) + plant.housing_friction * most
         load_friction = plant.load_friction + float(plant.friction_map[:, 1].max())
         carried = (1 + 2 * load_friction) * reach.torque / plant.torque_factor
         self._held, self._limited = 2 * friction + carried, own.limited

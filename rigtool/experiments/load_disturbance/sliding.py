@@ -26,7 +26,7 @@ from rigtool.experiments.force_model.sliding_problem import (
 )
 from rigtool.numerics.arrays import Array
 
-STEADY_PARAMETERS = ("stribeck_speed", "ripple_time", "stiffness", "load_onset")
+STEADY_PARAMETERS = ("stribeck_speed", "ripple_time", "stiffness", "load_onset", "direction_ratio")
 """Parameters of a shape on which even sliding under a given load depends."""
 
 CURRENT_ITERATIONS = 3

@@ -74,7 +74,7 @@ class Model:
     uncertainty: Uncertainty = UNCERTAINTY
 
     def plant(self, sample_time: float) -> Plant:
-        return replace(PLANT, sample_time=sample_time, asymmetry=0.0)
+        return replace(PLANT, sample_time=sample_time)
 
 
 def instrument(**changed):

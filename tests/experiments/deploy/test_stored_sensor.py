@@ -55,14 +55,13 @@ COEFFICIENTS = {
     (Kind.BEARING_DAMPING, 0): 1e-6,
     (Kind.HOUSING, 0): 9e-3,
     (Kind.HOUSING, 1): 9e-4,
-    (Kind.HOUSING_SIDED, 0): 3e-4,
     (Kind.LOAD_FRICTION, 0): 0.1,
     (Kind.CARRIED, 0): 2e-3,
 }
 LIMITS = np.array([[1e-3, 4.0], [np.inf, np.inf], [8e-3, 6.0]])
 """A motion of which too little was recorded has no threshold."""
 
-SHAPE = Shape(2e-3, 8e-3, 5e-3, 0.3, 0.05, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3)
+SHAPE = Shape(2e-3, 8e-3, 5e-3, 0.3, 0.05, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3, 1.06)
 
 
 def force_model(rig):

@@ -41,7 +41,7 @@ def known_waves(orders=(1, 2, 3), ripple=0.3e-3, cogging=0.1e-3):
     """Return terms of ripple and cogging as learning sizes them, and a constant."""
     both = (Kind.RIPPLE, ripple, 0.5), (Kind.COGGING, cogging, 1.0)
     waves = [Term(k, s * n**-f, n, q) for k, s, f in both for n in orders for q in (0, 1)]
-    return (*waves, Term(Kind.HOUSING_SIDED, LEVEL))
+    return (*waves, Term(Kind.OFFSET, LEVEL))
 
 
 def learned_from(terms, x, torque):

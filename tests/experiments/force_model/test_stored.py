@@ -30,7 +30,7 @@ RIG = RECIPE_HERE.rig
 RNG = np.random.default_rng(1)
 SIZE = len(SLIDING_PARAMETERS) + 3
 ROOT = RNG.normal(size=(SIZE, SIZE))
-SHAPE = Shape(1e-3, 2e-2, 3e-2, 0.4, 5e-3, 0.6, 7e-4, 8e-3, 9e-6, 1e-3)
+SHAPE = Shape(1e-3, 2e-2, 3e-2, 0.4, 5e-3, 0.6, 7e-4, 8e-3, 9e-6, 1e-3, 1.1)
 MODEL = ForceModel(
     LearnedModel(
         (

@@ -38,8 +38,8 @@ def to_and_fro(first=0.0):
 def test_a_rotor_at_rest_is_held_by_friction_and_the_largest_load(beyond):
     """From the largest torque in one direction to that in the other: T = 2 F + (1 + 2 m) M / n,
     with the static friction of the bearings and the highest of the housing, and by load."""
-    housing = PLANT.housing_friction * (1 + abs(PLANT.housing_asymmetry))
-    friction = PLANT.static + housing * np.abs(PLANT.friction_map[:, 0]).max()
+    housing = np.abs(PLANT.friction_map[:, 0]).max() + abs(PLANT.housing_asymmetry)
+    friction = PLANT.static * (1 + abs(PLANT.asymmetry)) + PLANT.housing_friction * housing
     by_load = PLANT.load_friction + PLANT.friction_map[:, 1].max()
     most = 2 * friction + (1 + 2 * by_load) * REACH.torque / PLANT.torque_factor
     swing = most * (1.04 if beyond else 0.96) / KT
