@@ -221,7 +221,7 @@ class Stretch:
         contacts = self._contacts()
         give_back()
         time: Any = self._began + step_time * np.arange(1.0, self._steps + 1, every)
-        torque, u, ripple = self._whole()
+        torque, u, ripple, doubts = self._whole()
         give_back()
         rate, corner_hz = 1 / step_time, self._instrument.corner_hz
         reference, judged = None, np.empty(0, dtype=np.bool_)
@@ -275,6 +275,7 @@ class Stretch:
                 passes=tuple(Passes.of(*at, t, u) for t in (torque[rows], torque[rows] + ripple)),
                 turns=turns,
                 commanded=commanded,
+                doubts=doubts,
             )
         ]
 
@@ -304,9 +305,9 @@ class Stretch:
         tested = trial(torque, deviation, kinds, self._instrument.grid.step_time, doubt)
         return tuple(contacts(tested, self._instrument.model.limits))
 
-    def _whole(self) -> tuple[Array, Array, Array]:
+    def _whole(self) -> tuple[Array, Array, Array, Array]:
         """Return the torque (m,) less what this power-up's ripple adds; u and that ripple of its
-        rows. All N m."""
+        rows, N m, and what of their u^2 is by that ripple, N2 m2."""
         instrument, every = self._instrument, self._every
         torque, angle, less = (self._taken(name) for name in ("torque", "angle", "less"))
         factor = instrument.model.plant(instrument.grid.sample_time).torque_factor
@@ -328,6 +329,7 @@ class Stretch:
         grown = 1 + 2 * self._taken("grown").astype(float)
         variance = np.concatenate(variances) * grown + unfollowed
         swing, held = self._taken("swing"), self._taken("held")[::every]
+        doubts = variance.copy()
         variance += TAKEN_VARIANCE * swing
         holding, unbent = self._taken("holding")[::every], self._taken("unbent")
         least = instrument.least_variances(holding, kinds, unbent, swing, held)
@@ -338,7 +340,7 @@ class Stretch:
         opened = highest(self._taken("opened"), 0, round(ONSET_TIME / step_time))[::every]
         own = deviation, torque[::every], kinds, variance, opened, least
         u = uncertainty_of_kinds(instrument.model.scales[0], *own)
-        return torque, u, np.concatenate(added)
+        return torque, u, np.concatenate(added), doubts
 
 
 def filled(reference: Array, reach: int) -> tuple[Array, Mask]:
