@@ -43,7 +43,8 @@ class TorqueRows:
     the states REVERSED and STILL is the middle of a dead band, its u that of a rectangular
     distribution (GUM 4.3.7). `passes` show whether the tables are of this
     instrument: of the torque, and of what it was before another power-up's ripple was taken off.
-    `turns` show whether inertia is that of the tables. `faults` are those of the signals."""
+    `turns` show whether inertia is that of the tables. `faults` are those of the signals.
+    `doubts` (m,) N2 m2 are what of u^2 another power-up's ripple makes."""
 
     name: str
     step_time: float
@@ -65,6 +66,7 @@ class TorqueRows:
     turns: Turns = field(default_factory=Turns)
     commanded: CommandedTurns = field(default_factory=CommandedTurns)
     faults: tuple[SignalFault, ...] = ()
+    doubts: Array = field(default_factory=lambda: np.empty(0))
 
     @property
     def hidden(self) -> Mask:

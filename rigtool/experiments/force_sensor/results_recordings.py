@@ -23,6 +23,7 @@ from rigtool.experiments.force_model.contacts import (
     MotionKind,
 )
 from rigtool.experiments.force_model.intervals import SHOWN_FACTOR
+from rigtool.experiments.force_model.model import ROTOR_ORDERS
 from rigtool.experiments.force_sensor.events import LET_GO_TIME, UNSEEN, events
 from rigtool.experiments.force_sensor.results_over_time import (
     TorqueRows,
@@ -143,6 +144,23 @@ def _contact_notes(limits: Array) -> list[str]:
     ]
 
 
+def _doubt_notes(parts: Sequence[TorqueRows]) -> list[str]:
+    """State the ripple of this power-up where its doubt makes most of u^2, in the mean."""
+    given = [(part, part.states != State.OUTSIDE) for part in parts if len(part.doubts)]
+    if not sum(np.count_nonzero(known) for _, known in given):
+        return []
+    whole = float(np.concatenate([part.u[known] ** 2 for part, known in given]).mean())
+    doubt = float(np.concatenate([part.doubts[known] for part, known in given]).mean())
+    if doubt <= whole / 2:
+        return []
+    return [
+        f"the ripple of this power-up stays in doubt: {math.sqrt(doubt) * 1e3:.2g} mN m of the "
+        f"{math.sqrt(whole) * 1e3:.2g} mN m of u (root mean squares) stand for it; it shows where "
+        "the rotor slides for seconds and nothing touches, and errors that look like contacts hide "
+        f"it, as does cogging of orders above {ROTOR_ORDERS[-1]}"
+    ]
+
+
 def _notes(
     recordings: Sequence[Recorded], known: NDArray[np.bool_], reach: Reach, scales: Array
 ) -> list[str]:
@@ -172,6 +190,7 @@ def _notes(
         )
     if limited := sum(part.limited for r in recordings for part in r.parts):
         notes.append(f"samples with a current at its limit: {limited}; no value there")
+    notes += _doubt_notes([part for r in recordings for part in r.parts])
     return notes + [
         f"recording {r.name}: {fault.text}"
         for r in recordings

@@ -222,7 +222,7 @@ class Stretch:
         contacts = self._contacts()
         give_back()
         time: Any = self._began + step_time * np.arange(1.0, self._steps + 1, every)
-        torque, u, ripple = self._whole()
+        torque, u, ripple, doubts = self._whole()
         give_back()
         rate, corner_hz = 1 / step_time, self._instrument.corner_hz
         reference, judged = None, np.empty(0, dtype=np.bool_)
@@ -269,6 +269,7 @@ class Stretch:
                 passes=tuple(Passes.of(*at, t, u) for t in (torque[rows], torque[rows] + ripple)),
                 turns=turns,
                 commanded=commanded,
+                doubts=doubts,
             )
         ]
 
@@ -312,9 +313,9 @@ class Stretch:
         tested = trial(torque, deviation, kinds, self._instrument.grid.step_time, doubt)
         return tuple(contacts(tested, self._instrument.model.limits))
 
-    def _whole(self) -> tuple[Array, Array, Array]:
+    def _whole(self) -> tuple[Array, Array, Array, Array]:
         """Return the torque (m,) less what this power-up's ripple adds; u and that ripple of its
-        rows. All N m."""
+        rows, N m, and what of their u^2 is by that ripple, N2 m2."""
         instrument, every = self._instrument, self._every
         torque, angle, less = (self._taken(name) for name in ("torque", "angle", "less"))
         factor = instrument.model.plant(instrument.grid.sample_time).torque_factor
@@ -336,6 +337,7 @@ class Stretch:
         grown = 1 + 2 * self._taken("grown").astype(float)
         variance = np.concatenate(variances) * grown + unfollowed
         swing, held = self._taken("swing"), self._taken("held")[::every]
+        doubts = variance.copy()
         variance += TAKEN_VARIANCE * swing
         holding, unbent = self._taken("holding")[::every], self._taken("unbent")
         least = instrument.least_variances(holding, kinds, unbent, swing, held)
@@ -346,7 +348,7 @@ class Stretch:
         opened = highest(self._taken("opened"), 0, round(ONSET_TIME / step_time))[::every]
         own = deviation, torque[::every], kinds, variance, opened, least
         u = uncertainty_of_kinds(instrument.model.scales[0], *own)
-        return torque, u, np.concatenate(added)
+        return torque, u, np.concatenate(added), doubts
 
 
 def filled(reference: Array, reach: int) -> tuple[Array, Mask]:

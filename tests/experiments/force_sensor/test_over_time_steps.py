@@ -175,6 +175,22 @@ def test_notes_state_what_was_learned_and_what_has_no_value():
     assert len(_notes(calm, np.ones(4, dtype=bool), reach, factors)) == 2
 
 
+@pytest.mark.parametrize(("share", "noted"), [(0.4, False), (0.6, True)])
+def test_a_ripple_in_doubt_is_noted_where_it_makes_most_of_u(share, noted):
+    reach, factors = Reach((0.1, 2.9), 12.0, 0.0456, (20, 40)), np.ones((KIND_COUNT, 2))
+    known, sliding = np.ones(99, dtype=bool), np.full(60, State.AGAINST)
+    parts = [
+        rows(60, u=np.full(60, 1e-3), doubts=np.full(60, share * 1.4e-6), states=sliding),
+        rows(30, u=np.full(30, 2e-3), doubts=np.full(30, share * 3.2e-6), states=sliding[:30]),
+        rows(9, u=np.full(9, 1.0), doubts=np.ones(9), states=np.full(9, State.OUTSIDE)),
+    ]
+    notes = _notes([Recorded("a", tuple(parts), 0, 0.0)], known, reach, factors)[2:]
+    assert len(notes) == noted
+    if noted:  # mean squares of u are (60 * 1 + 30 * 4) / 90 = 2 mN2 m2, of the doubt 0.6 of it
+        assert "in doubt: 1.1 mN m of the 1.4 mN m of u" in notes[0]
+        assert "cogging of orders above 14" in notes[0]
+
+
 # -- blocks
 
 
