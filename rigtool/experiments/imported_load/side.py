@@ -48,6 +48,9 @@ from rigtool.numerics.arrays import TINY, Array, Mask
 
 Numbers = NDArray[np.intp]
 
+CURVED_LEVELS = 3
+"""Fewest loads that show how effort bends with the load."""
+
 FEWEST_ROWS = 200
 """Rows in motion, in each direction."""
 
@@ -77,7 +80,8 @@ LOG_CHI2 = 1.270362845461478
 @dataclass(frozen=True, eq=False)
 class HeldOut:
     """Rows (n,) of levels that were left out: error and u of the torque, without unit; `within` is
-    the error where the lowest and the highest level are left out in another way, if there is one.
+    the error where the lowest and the highest level are left out in another way, if there is one,
+    and all of three: two of them carry no curvature, which tables of three have.
 
     `resolved` (n,) marks rows where effort depends enough on the load for an error. `slope`
     (n,) of effort by torque is that of all rows, `slopes` (folds, n) those without each fold.
@@ -226,6 +230,7 @@ class Fit:
         resolved = np.abs(slope) >= FLAT_SLOPE * usual
         safe = np.where(resolved, slope, usual)
         ends = (self.level == self.level.min()) | (self.level == self.level.max())
+        ends |= len(np.unique(self.level)) == CURVED_LEVELS
         other = found[min(1, len(found) - 1)][0]
         held = HeldOut(
             error=-residual / safe,
