@@ -80,8 +80,8 @@ LOG_CHI2 = 1.270362845461478
 @dataclass(frozen=True, eq=False)
 class HeldOut:
     """Rows (n,) of levels that were left out: error and u of the torque, without unit; `within` is
-    the error where the lowest and the highest level are left out in another way, if there is one,
-    and all of three: two of them carry no curvature, which tables of three have.
+    the error where the lowest and the highest level are left out in another way, if there is one.
+    So is the middle one of three where that leaves less: two carry no curvature, as tables do.
 
     `resolved` (n,) marks rows where effort depends enough on the load for an error. `slope`
     (n,) of effort by torque is that of all rows, `slopes` (folds, n) those without each fold.
@@ -230,8 +230,10 @@ class Fit:
         resolved = np.abs(slope) >= FLAT_SLOPE * usual
         safe = np.where(resolved, slope, usual)
         ends = (self.level == self.level.min()) | (self.level == self.level.max())
-        ends |= len(np.unique(self.level)) == CURVED_LEVELS
         other = found[min(1, len(found) - 1)][0]
+        if len(np.unique(self.level)) == CURVED_LEVELS:
+            middle = ~ends & np.isfinite(other)
+            ends |= bool(np.sum(other[middle] ** 2) < np.sum(residual[middle] ** 2))
         held = HeldOut(
             error=-residual / safe,
             within=-np.where(ends & np.isfinite(other), other, residual) / safe,
