@@ -77,6 +77,11 @@ def _read(recording: Recording, kt: Run | None, bandwidth_hz: float) -> LoadSign
         time, (raw, motor, *others), lost = at_even_times(
             time, bandwidth_hz, effort.values, motor, output, place, *sensor
         )
+        if np.ptp(raw) == 0:
+            raise InsufficientDataError(
+                f"the effort is {raw[0]:.4g} throughout: it is not that of a motor that moves; "
+                "correct its column in the mapping"
+            )
         gone = (at_limit(raw) | lost).astype(np.float64)
         path, (values, gone, output, place, *reference) = path_of(
             time, motor, bandwidth_hz, raw, gone, *others

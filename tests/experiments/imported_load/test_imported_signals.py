@@ -116,6 +116,14 @@ def test_a_time_in_milliseconds_read_as_seconds_is_named():
         at_even_times(time, 5.0, np.sin(time))
 
 
+@pytest.mark.parametrize("value", [0.0, 0.1])
+def test_an_effort_that_never_changes_is_refused(value):
+    channels = recorded()
+    channels["current"] = np.full_like(channels["current"], value)
+    with pytest.raises(InsufficientDataError, match=f"effort is {value:g} throughout"):
+        read(**channels)
+
+
 def test_a_current_that_stays_at_a_value_for_long_is_stuck():
     random = np.random.default_rng(6)
     effort = np.round(np.sin(np.arange(4000) / 300) + random.normal(0, 0.02, 4000), 2)
