@@ -43,6 +43,10 @@ encoder was zeroed elsewhere: what is below is the encoder's noise."""
 LEAST_NOISIER = 1.1
 """Factor by noise that was not learned, on u, from which on a note states it."""
 
+OTHER_SENSOR = 1.5
+"""Ratio of the sensor's torque and the measured one from which on no error of either explains it:
+a unit, a sign, or a gear between the sensor and where that of learning was."""
+
 FAST_SPEED = 0.25
 """Strokes count as moving fast from this speed of the output on, rad/s, as by O'Neill et al., IEEE
 RA-L 3(4) 3027-3034, 2018."""
@@ -219,7 +223,8 @@ def _require_inside(measured: Sequence[Measured], model: LoadModel) -> list[str]
         raise InsufficientDataError(
             f"all {len(states)} samples are outside the position, speed and load of the tables "
             f"(learned up to {model.scales.torque * 1e3:.3g} mN m), or at rest: learn from runs "
-            "that cover these"
+            "that cover these, or correct a unit or a sign of position or effort in the mapping "
+            "that differs from that of the learned runs"
         )
     notes = [
         f"{int(np.sum(states == State.OUTSIDE))} of {len(states)} samples are outside what was "
@@ -317,8 +322,18 @@ def _judged(
     pairs = [(m.signals, m.estimate.moving, f > 1) for m, f in zip(measured, fast, strict=True)]
     strokes = read_strokes(pairs)
     results, notes = scatter_results(strokes)
-    error = np.concatenate([m.estimate.moving - m.signals.sensor for m in measured])
-    speed = np.concatenate(fast)
+    torque, sensor = (
+        np.concatenate(parts)
+        for parts in zip(*((m.estimate.moving, m.signals.sensor) for m in measured), strict=True)
+    )
+    error, speed = torque - sensor, np.concatenate(fast)
+    ratio = float(np.nansum(torque * sensor) / np.nansum(torque**2))
+    if not 1 / OTHER_SENSOR < ratio < OTHER_SENSOR:
+        notes.append(
+            f"{REFERENCE_CHANNEL} is {ratio:.3g} times the measured torque: see to its sign, its "
+            "unit and its place, which may differ from those of the learned runs; what it judges "
+            "here is no error of the torque"
+        )
     reason = (
         f"itself a measure of uncertainty; NaN: no such stroke is faster than {FAST_SPEED:g} rad/s"
     )

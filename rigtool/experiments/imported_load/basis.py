@@ -161,6 +161,11 @@ def path_of(
     arrays = {f"signal {i}": signal for i, signal in enumerate(signals)}
     t, p, *rest = require_signals(20, time=time, position=position, **arrays)
     step = require_rising(t)
+    if t[-1] - t[0] < 2 * (END_TIME + 1 / ROW_RATE):
+        raise InsufficientDataError(
+            f"{t[-1] - t[0]:.3g} s, of which {END_TIME:g} s at either end are left out: "
+            "record for longer, or correct the unit of time in the mapping"
+        )
     work_rate = max(WORK_RATE * bandwidth_hz, ROW_RATE)
     size = max(1, math.floor(1 / (step * work_rate) * (1 + 1e-6)))
     t, p, *rest = (block_means(values, size) for values in (t, p, *rest))
@@ -188,11 +193,6 @@ def path_of(
 def _without_ends(time: Array, factor: int) -> slice:
     """Return every `factor`th row but those at the ends; `time` (n,) s is that of all of them."""
     inside = np.flatnonzero((time >= time[0] + END_TIME) & (time <= time[-1] - END_TIME))
-    if not inside.size:
-        raise InsufficientDataError(
-            f"{time[-1] - time[0]:.3g} s, of which {END_TIME:g} s at either end are left out: "
-            "record for longer, or correct the unit of time in the mapping"
-        )
     return slice(factor * inside[0], factor * inside[-1] + 1, factor)
 
 

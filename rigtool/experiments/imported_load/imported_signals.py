@@ -37,6 +37,10 @@ neighbours) and in periods of the bandwidth: the longer of the two."""
 LIMITED_SHARE = 0.01
 """Share of a row, behind the low-pass, from which on a limit has changed it."""
 
+JUMP_PART = 0.5
+"""Part of a position's range beyond which a step between two samples is none of a motion: what
+begins again after a turn or a number of bits steps over nearly all of it."""
+
 
 def read_all(
     runs: Sequence[Run], kt: Run | None, bandwidth_hz: float, unit: str | None = None
@@ -69,9 +73,15 @@ def _read(recording: Recording, kt: Run | None, bandwidth_hz: float) -> LoadSign
     time = recording.read("time")
     sensor = [recording.read(REFERENCE_CHANNEL)] if recording.has(REFERENCE_CHANNEL) else []
     with naming(named(recording)):
+        require_steady(time, motor)
         time, (raw, motor, *others), lost = at_even_times(
             time, bandwidth_hz, effort.values, motor, output, place, *sensor
         )
+        if np.ptp(raw) == 0:
+            raise InsufficientDataError(
+                f"the effort is {raw[0]:.4g} throughout: it is not that of a motor that moves; "
+                "correct its column in the mapping"
+            )
         gone = (at_limit(raw) | lost).astype(np.float64)
         path, (values, gone, output, place, *reference) = path_of(
             time, motor, bandwidth_hz, raw, gone, *others
@@ -90,6 +100,28 @@ def _read(recording: Recording, kt: Run | None, bandwidth_hz: float) -> LoadSign
         reference=reference[0] if reference else None,
         noise=noise_of(raw[~lost], (len(time) - 1) / (time[-1] - time[0]), bandwidth_hz),
     )
+
+
+def require_steady(time: Array, position: Array) -> None:
+    """Raise `InsufficientDataError` where a position (n,), rad, jumps: its turns are not counted.
+
+    A sample that is wrong alone, and steps over a gap, are no jumps.
+    """
+    known = np.isfinite(position)
+    time, position = time[known], position[known]
+    if len(time) < 3:
+        return
+    alone = np.median([position[:-2], position[1:-1], position[2:]], axis=0)
+    steps, intervals = np.diff(alone), np.diff(time[1:-1])
+    usual = intervals <= LONGEST_INTERVAL * require_rising(time)
+    at = np.flatnonzero(usual & (np.abs(steps) > JUMP_PART * np.ptp(alone)))
+    if at.size:
+        raise InsufficientDataError(
+            f"the position jumps {at.size} times, first by {steps[at[0]]:.4g} rad at "
+            f"{time[at[0] + 2]:.6g} s, at most {JUMP_PART * np.ptp(alone):.4g} rad, half of its "
+            "range, is a motion: state wraps_at in the mapping for an angle or a counter that "
+            "begins again (where it is stated, record more often), or take out wrong samples"
+        )
 
 
 def at_even_times(

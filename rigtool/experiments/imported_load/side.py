@@ -48,6 +48,9 @@ from rigtool.numerics.arrays import TINY, Array, Mask
 
 Numbers = NDArray[np.intp]
 
+CURVED_LEVELS = 3
+"""Fewest loads that show how effort bends with the load."""
+
 FEWEST_ROWS = 200
 """Rows in motion, in each direction."""
 
@@ -78,6 +81,7 @@ LOG_CHI2 = 1.270362845461478
 class HeldOut:
     """Rows (n,) of levels that were left out: error and u of the torque, without unit; `within` is
     the error where the lowest and the highest level are left out in another way, if there is one.
+    So is the middle one of three where that leaves less: two carry no curvature, as tables do.
 
     `resolved` (n,) marks rows where effort depends enough on the load for an error. `slope`
     (n,) of effort by torque is that of all rows, `slopes` (folds, n) those without each fold.
@@ -227,6 +231,9 @@ class Fit:
         safe = np.where(resolved, slope, usual)
         ends = (self.level == self.level.min()) | (self.level == self.level.max())
         other = found[min(1, len(found) - 1)][0]
+        if len(np.unique(self.level)) == CURVED_LEVELS:
+            middle = ~ends & np.isfinite(other)
+            ends |= bool(np.sum(other[middle] ** 2) < np.sum(residual[middle] ** 2))
         held = HeldOut(
             error=-residual / safe,
             within=-np.where(ends & np.isfinite(other), other, residual) / safe,

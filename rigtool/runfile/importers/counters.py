@@ -17,8 +17,9 @@ CLOCK_BITS = (16, 32)
 ENCODER_BITS = range(10, 33)
 """Widths of counters of time and of position."""
 
-LARGEST_STEP = 0.1
-"""Part of a counter's range that no step between two samples exceeds."""
+LARGEST_STEP, LARGEST_SMOOTH_STEP = 0.1, 0.4
+"""Parts of a counter's range that no step between two samples exceeds: of any motion, and of one
+whose steps differ from one to the next by no more than the first."""
 
 OTHER_STEP = 1.5
 """A step over the end of a counter is at most as many times as large as any other."""
@@ -40,7 +41,8 @@ def with_shown_ends(raw: Raw, mapping: Mapping) -> tuple[Mapping, list[str]]:
         end = next((end for end in ends if _begins_again(values, end)), None)
         if end is not None:
             found[name] = signal.model_copy(update={"wraps_at": end})
-            notes.append(f"{name} begins again at {end:.10g}: state wraps_at for it")
+            zero = "; its zero is open by multiples of that" if name in POSITIONS else ""
+            notes.append(f"{name} begins again at {end:.10g}: state wraps_at for it{zero}")
     return mapping.model_copy(update={"signals": mapping.signals | found}), notes
 
 
@@ -68,6 +70,7 @@ def _begins_again(values: Array, end: float) -> bool:
     over = np.abs(steps) > end / 2
     if not over.any() or over.all() or float(np.ptp(values)) > end:
         return False
-    usual = float(np.abs(steps[~over]).max())
-    across = float(np.abs(np.diff(unwrapped(values, end))[over]).max())
-    return usual < LARGEST_STEP * end and across <= OTHER_STEP * usual
+    usual, whole = float(np.abs(steps[~over]).max()), np.diff(unwrapped(values, end))
+    across, change = (float(np.abs(part).max()) for part in (whole[over], np.diff(whole)))
+    largest = LARGEST_SMOOTH_STEP if change < LARGEST_STEP * end else LARGEST_STEP
+    return usual < largest * end and across <= OTHER_STEP * usual

@@ -296,6 +296,18 @@ def test_the_sensor_judges_fast_strokes():
     assert "there is no table of loads" in notes[-1]
 
 
+@pytest.mark.parametrize(("scale", "shown"), [(-1.0, "-1 "), (1e3, "1e+03"), (1.4, None)])
+def test_a_sensor_of_another_sign_or_unit_is_noted(scale, shown):
+    own = model()
+    (given,) = measured(own, run())
+    reference = scale * np.nan_to_num(given.estimate.moving)
+    given = replace(given, signals=replace(given.signals, reference=reference))
+    (*_, notes) = imported._judged([given], own)
+    noted = [note for note in notes if "see to its sign" in note]
+    assert len(noted) == (shown is not None)
+    assert all(f"reference_torque is {shown}" in note for note in noted)
+
+
 def test_runs_that_were_learned_from_are_named():
     tables = SimpleNamespace(provenance={"inputs": [{"content_sha256": n} for n in "abc"]})
     runs = [SimpleNamespace(path=Path(f"{n}.h5"), content_sha256=n) for n in "xbc"]

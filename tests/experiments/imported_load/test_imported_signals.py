@@ -86,10 +86,42 @@ def test_one_lost_sample_is_no_gap_and_a_longer_one_is():
     np.testing.assert_allclose(even[lost], [1.98, 2.0, 2.02, 2.04], rtol=1e-9)
 
 
+@pytest.mark.parametrize(("every", "period"), [(1, 5.0), (1, 2 * np.pi), (8, 11.0)])
+def test_an_angle_that_begins_again_is_refused(every, period):
+    channels = {name: values[::every] for name, values in recorded().items()}
+    channels["position"] = channels["position"] % period
+    with pytest.raises(InsufficientDataError, match=r"r\.h5: the position jumps .* wraps_at"):
+        read(**channels)
+
+
+def test_a_wrong_sample_and_the_way_of_a_gap_are_no_jumps(model):
+    channels = recorded()
+    channels["position"][[0, 4000, -1]] += 100.0
+    channels = {name: np.delete(values, slice(2750, 3250)) for name, values in channels.items()}
+    assert np.abs(np.diff(channels["position"]))[2749] > np.ptp(recorded()["position"]) / 2
+    assert held(model, read(**channels))[0] > 0.93
+
+
+@pytest.mark.parametrize(("unit", "remedy"), [(1e-3, "1 s at either end"), (1e3, "samples a sec")])
+def test_a_time_in_another_unit_is_named(unit, remedy):
+    channels = recorded()
+    channels["time"] = unit * channels["time"]
+    with pytest.raises(InsufficientDataError, match=f"{remedy}.*unit of time"):
+        read(**channels)
+
+
 def test_a_time_in_milliseconds_read_as_seconds_is_named():
     time = np.arange(200) * 5.0
     with pytest.raises(InsufficientDataError, match=r"0\.2 samples a second .* unit of time"):
         at_even_times(time, 5.0, np.sin(time))
+
+
+@pytest.mark.parametrize("value", [0.0, 0.1])
+def test_an_effort_that_never_changes_is_refused(value):
+    channels = recorded()
+    channels["current"] = np.full_like(channels["current"], value)
+    with pytest.raises(InsufficientDataError, match=f"effort is {value:g} throughout"):
+        read(**channels)
 
 
 def test_a_current_that_stays_at_a_value_for_long_is_stuck():

@@ -1,5 +1,7 @@
 """Levels, speeds, strokes and folds of recordings; how far beyond its levels a model holds."""
 
+import itertools
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -23,7 +25,7 @@ from rigtool.experiments.imported_load.learning import (
 )
 from rigtool.experiments.imported_load.region import MARGIN, NARROW
 from rigtool.experiments.imported_load.side import INTERVAL_COVERAGE
-from tests.experiments.imported_load.loaded_drive import observations
+from tests.experiments.imported_load.loaded_drive import observations, observe
 
 
 def moving(low, high, speed=1.0):
@@ -217,3 +219,18 @@ def test_speeds_are_compared_where_several_or_other_strokes_were_learned(
     with pytest.raises(LearnedError) as found:
         learn_load_model(made)
     assert found.value.args == (several,)
+
+
+def test_the_loop_of_three_loads_is_that_of_tables_which_show_how_effort_bends():
+    """Left out, the middle one of three is on a line between the others."""
+    bent = []
+    for load, frequency in itertools.product((0.02, 0.05, 0.08), (0.1, 0.2, 0.3)):
+        own = observe(load, frequency, seed=len(bent))
+        way = np.tanh(own.path.speed / 0.5)
+        bent.append(replace(own, effort=own.effort + 30 * way * own.sensor**2))
+    learned = learn_load_model(bent)
+    assert learned.model.loop.offset * learned.model.scales.torque < 1e-3
+    left_out = learned.validation
+    middle = left_out.level == 1
+    apart = [np.mean(left_out.error[middle & way]) for way in (left_out.against, ~left_out.against)]
+    assert abs(apart[0] - apart[1]) > 3e-3

@@ -49,6 +49,15 @@ def test_the_end_that_the_samples_show(tmp_path, name, unit, whole, end, si, sta
     np.testing.assert_allclose(found - found[0], (whole - whole[0]) * si, atol=1e-9)
 
 
+def test_a_turn_of_few_samples_goes_on_as_long_as_they_show_which_way(tmp_path):
+    """Up to a quarter of a turn from sample to sample, and up to two thirds of one."""
+    for every, shown in ((15, True), (40, False)):
+        whole = 360 * TURNS[::every]
+        found, notes = taken(tmp_path, "position", "deg", (whole + 90) % 360)
+        assert ("begins again at 360" in notes) is shown
+        assert np.allclose(found - found[0], np.radians(whole - whole[0])) is shown
+
+
 def test_samples_that_are_wrong_are_no_end(tmp_path):
     """Nor are counts that go on beyond the range, or a motion as long as a turn between samples."""
     dropped = COUNTS + 2.0**13
