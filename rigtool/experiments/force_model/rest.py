@@ -264,8 +264,10 @@ class PredictionProblem:
             parameters[:2] += np.log([short, long])
             more = share * self.friction - parameters[bearing]
             parameters[[bearing, housing]] += [more, -more]
-            # sliding hardly shows the rise at low speed: friction at rest has to be above zero
-            parameters[rise] = max(parameters[rise], -parameters[bearing] / 2)
+            # sliding hardly shows the rise at low speed: friction at rest has to be above zero, and
+            # with far too much the filter loses counts, from where the search does not find back
+            most = parameters[bearing] / 2
+            parameters[rise] = min(max(parameters[rise], -most), most)
             yield parameters
 
     def solution(self, begins: Iterable[Array]) -> LearnedModel:
