@@ -18,6 +18,7 @@ torque depends on the parameters, and long bristles leave more to friction.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -257,6 +258,7 @@ class PredictionProblem:
             len(self.start) - len(kinds) + kinds.index(kind)
             for kind in (Kind.BEARING, Kind.HOUSING, Kind.STRIBECK)
         )
+        rise_u = math.sqrt(self.covariance[rise, rise])
         finer = self.learned.shape.bearing_length / self.explorations[0].count
         lengths = ([*some, *halved(some[0], finer)] for some in (SHORT, LONG))
         for short, long, share in product(*lengths, SHARES):
@@ -265,9 +267,9 @@ class PredictionProblem:
             more = share * self.friction - parameters[bearing]
             parameters[[bearing, housing]] += [more, -more]
             # sliding hardly shows the rise at low speed: friction at rest has to be above zero, and
-            # with far too much the filter loses counts, from where the search does not find back
-            most = parameters[bearing] / 2
-            parameters[rise] = min(max(parameters[rise], -most), most)
+            # with far too much a filter loses counts, from where the search does not find back
+            most = max(parameters[bearing], parameters[rise] - 2 * rise_u)
+            parameters[rise] = min(max(parameters[rise], -parameters[bearing] / 2), most)
             yield parameters
 
     def solution(self, begins: Iterable[Array]) -> LearnedModel:

@@ -202,6 +202,17 @@ def test_the_search_begins_with_friction_at_rest_whatever_sliding_showed_of_its_
     assert_allclose(tried[:, rise], -tried[:, bearing] / 2)
 
 
+@pytest.mark.parametrize("rise_u", [6e-3, 1e-4])
+def test_a_rise_that_sliding_does_not_show_begins_at_most_as_large_as_the_friction(rise_u):
+    """With far too much, the filter loses counts, and the search does not find back."""
+    own = problem()
+    rise, bearing = 5, 4
+    own.start[rise] = 6e-3
+    own.covariance[rise, rise] = rise_u**2
+    tried = np.array([*own.tried()])
+    assert_allclose(tried[:, rise], np.maximum(tried[:, bearing], 6e-3 - 2 * rise_u))
+
+
 def test_errors_are_corrections_in_deviations_of_what_they_show(monkeypatch):
     rng = np.random.default_rng(6)
     moved, variance = rng.standard_normal(1500), rng.uniform(1, 2, 1500)
