@@ -17,6 +17,7 @@ from rigtool.errors import RecipeError
 from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.force_model.steps import LONGEST_EXACT, FilterSteps, unbroken
+from rigtool.experiments.force_sensor.power_up.power_up import PowerUp
 from rigtool.experiments.force_sensor.procedure_over_time import model_and_reach, over_time
 from rigtool.experiments.force_sensor.procedure_reading import NEEDED_CHANNELS, instrument_of
 from rigtool.experiments.force_sensor.sensor import Sensor
@@ -56,12 +57,15 @@ class LiveForce:
         self._every, self._counts = every, self._instrument.counts()
         self._last = np.zeros(0)
         self._waiting = np.empty((len(NEEDED_CHANNELS), 0))
+        self._power_up: PowerUp | None = None
         self._begin(0.0)
         # numba is imported now: later the rig moves, and its watchdog waits
         self._rows(np.zeros((len(NEEDED_CHANNELS) - 1, math.ceil(BATCH_TIME / interval))))
+        self._power_up = None
 
     def _begin(self, time: float) -> None:
-        self._sensor = Sensor(self._instrument, context=False)
+        self._sensor = Sensor(self._instrument, context=False, before=self._power_up)
+        self._power_up = self._sensor.power_up
         self._counts = self._instrument.counts(self._counts.lost)
         self._began, self._steps = time - self._instrument.interval / 2, 0
 

@@ -14,6 +14,7 @@ from rigtool.experiments.force_filter.estimate import PIECE_STEPS
 from rigtool.experiments.force_filter.motion_states import Reach
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.steps import unbroken
+from rigtool.experiments.force_sensor.power_up.power_up import PowerUp
 from rigtool.experiments.force_sensor.results_over_time import TorqueRows
 from rigtool.experiments.force_sensor.results_recordings import Recorded
 from rigtool.experiments.force_sensor.sensor import SensorProperties
@@ -101,7 +102,7 @@ def read_recording(
     breaks, read, done = -1, 0.0, 0
     with ThreadPoolExecutor(1) as smoothing, ThreadPoolExecutor(1) as testing:
         stretch: Stretch | None = None
-        watch: SignalWatch | None = None
+        known: tuple[SignalWatch, PowerUp] | tuple[None, None] = None, None
         for block, begins in unbroken_blocks(recording, instrument):
             if begins:
                 breaks += 1
@@ -120,9 +121,9 @@ def read_recording(
                     (smoothing, testing),
                     commanded=commanded,
                     loop=loop,
-                    before=watch,
+                    before=known,
                 )
-                watch = stretch.watch
+                known = stretch.known
             done += block.shape[1]
             if counts:
                 block[1] -= counts

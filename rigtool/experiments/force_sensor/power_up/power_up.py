@@ -82,8 +82,16 @@ from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled, compiled_allocating
 
 
+OF_THE_FILTER = (
+    *("waves", "held_steps", "seen", "angle", "speed", "housing", "sine", "cosine"),
+    *("row", "filled", "slid", "passed"),
+)
+"""What of the state a filter that begins anew has not seen."""
+
+
 class PowerUp:
-    """Follows the ripple of a recording without a gap; steps are added as they come.
+    """Follows the ripple of a recording, until `behind_gap` without one; steps are added as they
+    come.
 
     `add` and `again` give what ripple adds to the torque on the output after each of m steps, its
     variance, N m and N2 m2, and what it takes off the drive torque, N m, not low-passed.
@@ -130,6 +138,19 @@ class PowerUp:
         mix(state)
         renew_unfollowed(state, self._parameters[0], 0.0)
         self._low_pass = passed.section(corner_hz, step_time)
+
+    def behind_gap(self) -> PowerUp:
+        """Return it for samples behind a gap: what is known of the ripple holds until the power is
+        cut; what strokes deviate by, and where the filter has got to, is that of a begin."""
+        state, size = self._state[0], self._parameters[0]["size"]
+        for name in OF_THE_FILTER:
+            state[name] = 0.0
+        state["mean"][:, WAVE_COUNT] = state["shift"][:, WAVE_COUNT] = 0.0
+        state["covariance"][:, WAVE_COUNT, :] = state["covariance"][:, :, WAVE_COUNT] = 0.0
+        state["covariance"][:, WAVE_COUNT, WAVE_COUNT] = size**2
+        state["level"], state["level_variance"] = 0.0, (CONTACT * size) ** 2
+        state["direction"] = 1.0
+        return self
 
     @property
     def probability(self) -> float:
