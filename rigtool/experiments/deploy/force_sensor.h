@@ -184,7 +184,8 @@ struct rs_filter {
 struct rigtool_sensor {
     /* samples until they are one of the equations */
     int collected, limited, limited_before, heard, last_limited;
-    struct rigtool_sensor_sample last;
+    struct rigtool_sensor_sample last, known;
+    int holds; /* for how many samples the known one */
     int32_t encoder; /* counts, of now */
     rs_real current, current_before, temperature, temperature_before;
     /* x, and its covariance as U diag(d) U'; rows of U that move are those of now within a step.
@@ -998,23 +999,17 @@ static inline void rs_begin_anew(struct rigtool_sensor *s, int filter)
     f->before[0] = f->before[1] = f->known;
 }
 
-/* Forget what a stroke deviates by. */
-static inline void rs_untouched(struct rs_ripple *known)
-{
-    int j;
-    known->mean[0] = known->shift[0] = 0;
-    known->d[0] = rs_model.row_untouched;
-    for (j = 1; j < RS_PARTS; j++)
-        known->u[RS_AT(0, j)] = 0;
-}
-
 /* Go back to what was known before a contact that is recognised, or keep what is known now. */
 static inline void rs_take_back(struct rs_filter *h)
 {
+    int j;
     h->since++;
     if (h->touched > rs_model.row_recognised) {
         h->known = h->before[h->earlier];
-        rs_untouched(&h->known);
+        h->known.mean[0] = h->known.shift[0] = 0;
+        h->known.d[0] = rs_model.row_untouched;
+        for (j = 1; j < RS_PARTS; j++)
+            h->known.u[RS_AT(0, j)] = 0;
         h->since = -RS_LATE_ROWS;
     } else if (h->since == 0) {
         h->before[!h->earlier] = h->known;
@@ -1640,27 +1635,45 @@ static inline void rigtool_sensor_init(struct rigtool_sensor *s)
     rs_restart(s);
 }
 
+/* Expect of what acts, and of a stroke, what is expected before any row. */
+static inline void rs_no_load(struct rs_ripple *known, int filter)
+{
+    const struct rs_model *m = &rs_model;
+    int i, j;
+    for (i = 0; i < RS_WAVE; i++) {
+        known->mean[i] = 0;
+        known->d[i] = i < RS_HUNG ? m->row_untouched
+            : filter > 1 ? m->row_hanging[i - RS_HUNG] : (rs_real)0;
+        for (j = i + 1; j < RS_PARTS; j++)
+            known->u[RS_AT(i, j)] = 0;
+    }
+    memset(known->shift, 0, sizeof known->shift);
+    known->lasting[0] = 0;
+    known->lasting[1] = m->row_lasting;
+}
+
 /* Know of the ripple what is known before any row; behind a gap, what was known before it. */
 static inline void rs_begin_ripple(struct rigtool_sensor *s)
 {
     const struct rs_model *m = &rs_model;
     int j;
     s->level_variance[0] = s->level_variance[1] = m->row_contact;
-    for (j = 0; s->followed && j < RS_FILTERS; j++)
-        rs_untouched(&s->filters[j].known);
+    for (j = 0; j < RS_FILTERS; j++) {
+        struct rs_filter *h = &s->filters[j];
+        if (!s->followed) {
+            rs_unknown(&h->known, j);
+            h->before[0] = h->before[1] = h->known;
+        }
+        rs_no_load(&h->known, j);
+        rs_no_load(&h->before[0], j);
+        rs_no_load(&h->before[1], j);
+        h->lasts = j < 2 ? m->row_lasts : (rs_real)0;
+        s->hangs[j % 2] = m->row_hangs;
+    }
     if (s->followed)
         return;
     s->followed = 1;
     s->row_length = RS_ROW_STEPS;
-    for (j = 0; j < RS_FILTERS; j++) {
-        struct rs_filter *h = &s->filters[j];
-        h->known.d[0] = m->row_untouched;
-        rs_unknown(&h->known, j);
-        h->known.lasting[1] = m->row_lasting;
-        h->lasts = j < 2 ? m->row_lasts : (rs_real)0;
-        h->before[0] = h->before[1] = h->known;
-        s->hangs[j % 2] = m->row_hangs;
-    }
     rs_mix(s);
     rs_renew_unfollowed(s);
 }
@@ -1743,8 +1756,8 @@ static inline int rs_put_back(struct rigtool_sensor *s)
     return 0;
 }
 
-/* Take in a sample of the loop and return the latest reading; a current that is no number, and a
- * temperature that is none, or far outside, begin anew. */
+/* Take in a sample of the loop and return the latest reading; where the current is no number, or the
+ * temperature is none, or far outside, those before hold, RS_HELD times: then it begins anew. */
 static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
     struct rigtool_sensor *s, struct rigtool_sensor_sample sample)
 {
@@ -1756,8 +1769,17 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
     s->reading.fresh = 0;
     if (!(RS_MATH(fabs)(sample.temperature) <= rs_model.farthest)
         || (limited && !rs_finite(sample.current))) {
-        rs_restart(s);
-        return &s->reading;
+        if (s->holds == 0) {
+            rs_restart(s);
+            return &s->reading;
+        }
+        s->holds--;
+        sample.current = s->known.current;
+        sample.temperature = s->known.temperature;
+        limited = !(RS_MATH(fabs)(sample.current) < rs_model.current_limit);
+    } else {
+        s->known = sample;
+        s->holds = RS_HELD;
     }
     if (s->collected == RS_AVERAGED / 2) /* angles belong to the middle of what is averaged */
         s->encoder = rs_from(sample.encoder, s->lost);

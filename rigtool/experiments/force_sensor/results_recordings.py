@@ -24,6 +24,7 @@ from rigtool.experiments.force_model.contacts import (
 )
 from rigtool.experiments.force_model.intervals import SHOWN_FACTOR
 from rigtool.experiments.force_model.model import ROTOR_ORDERS
+from rigtool.experiments.force_model.steps import HELD_TIME
 from rigtool.experiments.force_sensor.events import LET_GO_TIME, UNSEEN, events
 from rigtool.experiments.force_sensor.results_over_time import (
     TorqueRows,
@@ -44,12 +45,14 @@ LACKS = ", infinite where a torque between has no value"
 @dataclass(frozen=True, eq=False)
 class Recorded:
     """A recording by its stretches without gaps; `breaks` are between them, and `lost` s have no
-    torque: gaps, samples that are NaN, stretches that are too short."""
+    torque: gaps, samples that are NaN, stretches that are too short. In `held` samples current and
+    temperature are those of the one before."""
 
     name: str
     parts: tuple[TorqueRows, ...]
     breaks: int
     lost: float
+    held: int = 0
 
 
 def force_outcome(
@@ -210,6 +213,11 @@ def _notes(
         notes.append(
             f"samples are missing or NaN: {lost:.3g} s have no value, and the filter begins anew "
             f"behind them (gaps between samples: {sum(r.breaks for r in recordings)})"
+        )
+    if held := sum(r.held for r in recordings):
+        notes.append(
+            f"current or temperature is NaN in {held} samples that are taken for the one before: "
+            f"{HELD_TIME * 1e3:g} ms at most, what lasts longer is a gap"
         )
     if limited := sum(part.limited for r in recordings for part in r.parts):
         notes.append(f"samples with a current at its limit: {limited}; no value there")
