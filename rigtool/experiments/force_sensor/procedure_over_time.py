@@ -194,8 +194,8 @@ def _require_values(read: Sequence[Recorded], recorded: Sequence[Recording], rea
     limited = sum(part.limited for r in read for part in r.parts)
     if 2 * limited > sum(r.size for r in recorded):
         raise InsufficientDataError(
-            f"{limited} samples have a current at its limit, rig.current_limit, or above: no torque "
-            "has a value; move slower, or against less, and check the unit of the current"
+            f"{limited} samples have a current at its limit, rig.current_limit, or above: no "
+            "torque has a value; move slower, or against less, and check the unit of the current"
         )
     every = [fault for r in read for part in r.parts for fault in part.faults]
     faults = [fault for fault in every if fault.no_value and fault.text]

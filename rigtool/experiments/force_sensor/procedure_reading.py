@@ -158,9 +158,9 @@ def unbroken_blocks(
     """Yield the channels (c, n), time first, reference and set point last, and whether a sample is
     missing before them.
 
-    Samples with NaN are left out, but where `holder` holds the current; a reference and a set point may be NaN. Of what lies between
-    two gaps and is too short to be analysed, no sample is yielded: thousands of filters would begin
-    for nothing.
+    Samples with NaN are left out, but where `holder` holds the current; a reference and a set point
+    may be NaN. Of what lies between two gaps and is too short to be analysed, no sample is yielded:
+    thousands of filters would begin for nothing.
     """
     optional = filter(recording.has, (REFERENCE_CHANNEL, SETPOINT_CHANNEL))
     names = (*NEEDED_CHANNELS, *optional)

@@ -37,7 +37,6 @@ from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Table
 
-
 CUT = ", infinite where the torque beside has no value: a bound"
 LACKS = ", infinite where a torque between has no value"
 

@@ -26,8 +26,8 @@ from rigtool.experiments.force_filter.swinging import TAKEN_VARIANCE
 from rigtool.experiments.force_model.contacts import Contact, contacts, trial
 from rigtool.experiments.force_model.intervals import uncertainty_of_kinds
 from rigtool.experiments.force_sensor.commanded_inertia import CommandedTurns
-from rigtool.experiments.force_sensor.response import Spectra
 from rigtool.experiments.force_sensor.power_up.power_up import PowerUp
+from rigtool.experiments.force_sensor.response import Spectra
 from rigtool.experiments.force_sensor.results_over_time import TorqueRows, steps_of_a_row
 from rigtool.experiments.force_sensor.sensor import Sensed, Sensor, SensorProperties
 from rigtool.experiments.force_sensor.signal_faults import SignalFault, SignalWatch

@@ -81,7 +81,6 @@ from rigtool.experiments.force_sensor.power_up.shown_ripple import show
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled, compiled_allocating
 
-
 OF_THE_FILTER = (
     *("waves", "held_steps", "seen", "angle", "speed", "housing", "sine", "cosine"),
     *("row", "filled", "slid", "passed", "level", "shift", "shifts", "lasting", "lastings"),
