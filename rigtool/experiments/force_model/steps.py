@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from rigtool.experiments.force_filter.encoder_angle import interpolated
 from rigtool.experiments.force_filter.estimate import Signals
 from rigtool.experiments.force_model.drive import MotorMap
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, Mask
 
 SAMPLE_TIME = 0.5e-3
 """Longest sample of the filter, s: bristles and tendon swing within milliseconds. With half of it,
@@ -204,7 +204,7 @@ class Holder:
 
     def add(self, signals: Array) -> Array:
         """Return current and temperature (2, n)."""
-        known = np.isfinite(signals).all(axis=0)
+        known: Mask = np.isfinite(signals).all(axis=0)
         if known.all():
             self._last, self._since = signals[:, -1:].copy(), 0
             return signals
