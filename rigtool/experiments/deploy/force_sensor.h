@@ -18,6 +18,7 @@
  */
 
 #include <math.h>
+#include <stddef.h>
 #include <stdint.h>
 #include <string.h>
 
@@ -183,8 +184,9 @@ struct rs_filter {
 struct rigtool_sensor {
     /* samples until they are one of the equations */
     int collected, limited, limited_before, heard, last_limited;
-    struct rigtool_sensor_sample last;
-    int32_t encoder, lost; /* counts: of now, and those that are taken off what is read */
+    struct rigtool_sensor_sample last, known;
+    int holds; /* for how many samples the known one */
+    int32_t encoder; /* counts, of now */
     rs_real current, current_before, temperature, temperature_before;
     /* x, and its covariance as U diag(d) U'; rows of U that move are those of now within a step.
      * The last columns of u are the covariance of x and q; nothing depends on it. */
@@ -205,18 +207,11 @@ struct rigtool_sensor {
      * `held` */
     struct rs_shown shown[RS_WAVES + 1];
     rs_real gain[RS_STATES], stroke;
-    rs_real held[RS_WAVES], taken;
+    rs_real taken;
     int held_steps;
     rs_real waves[RS_WAVES + 1], row[RS_PARTS], ripple_q[RS_ORDER];
-    struct rs_filter filters[RS_FILTERS];
-    rs_real hangs[2]; /* the probability that a load hangs, with either ripple */
-    rs_real other, proven; /* logarithm of the likelihoods' ratio, of both ripples; what stays */
-    /* of all: both weights, the rest is the learned ripple's, and what they count in the variance;
-     * mean of the ripple, and variance */
-    rs_real weights[2], counts[2], ripples[RS_WAVES], ripple_spread, unfollowed[1 + RS_POWERS];
-    rs_real level[2], level_variance[2], fast; /* then: by a slow, a fast walk; probability of that */
-    int row_length, row_drawn, row_steps, row_slid;
-    int doubted; /* the wave whose doubt grows next, of the filter in turn */
+    rs_real level[2], level_variance[2]; /* where something touches: by a slow, a fast walk */
+    int row_steps, row_slid;
     /* states: counts of the last steps, and for how many steps they were one of two */
     int32_t history[RS_SPEED_STEPS];
     int steps, next, still_up, still_down, limit_left;
@@ -227,6 +222,19 @@ struct rigtool_sensor {
     int rested, swung;
     rs_real level_torque, swing; /* mean of the torque, median of how far it is away, squared */
     struct rigtool_sensor_reading reading;
+    /* what holds until the power is cut, first: counts that are taken off what is read */
+    int32_t lost;
+    int followed; /* the ripple, since a begin */
+    struct rs_filter filters[RS_FILTERS];
+    rs_real held[RS_WAVES];
+    rs_real hangs[2]; /* the probability that a load hangs, with either ripple */
+    rs_real other, proven; /* logarithm of the likelihoods' ratio, of both ripples; what stays */
+    /* of all: both weights, the rest is the learned ripple's, and what they count in the variance;
+     * mean of the ripple, and variance */
+    rs_real weights[2], counts[2], ripples[RS_WAVES], ripple_spread, unfollowed[1 + RS_POWERS];
+    rs_real fast; /* the probability of a fast walk */
+    int row_length, row_drawn;
+    int doubted; /* the wave whose doubt grows next, of the filter in turn */
 };
 
 static inline rs_real rs_square(rs_real value)
@@ -1612,12 +1620,62 @@ static inline int rs_read(struct rigtool_sensor *s)
 
 /* -- the interface ----------------------------------------------------------------------------- */
 
+/* Begin anew behind a gap: until the power is cut, ripple stays what it is. */
+static inline void rs_restart(struct rigtool_sensor *s)
+{
+    memset(s, 0, offsetof(struct rigtool_sensor, lost));
+    s->limit_left = RS_LIMIT_STEPS + 1; /* until the filter has found the motion */
+    s->reading.torque = s->reading.u = s->reading.low = s->reading.high = (rs_real)NAN;
+}
+
 /* Begin, or begin anew: nothing is known of what was before. */
 static inline void rigtool_sensor_init(struct rigtool_sensor *s)
 {
     memset(s, 0, sizeof *s);
-    s->limit_left = RS_LIMIT_STEPS + 1; /* until the filter has found the motion */
-    s->reading.torque = s->reading.u = s->reading.low = s->reading.high = (rs_real)NAN;
+    rs_restart(s);
+}
+
+/* Expect of what acts, and of a stroke, what is expected before any row. */
+static inline void rs_no_load(struct rs_ripple *known, int filter)
+{
+    const struct rs_model *m = &rs_model;
+    int i, j;
+    for (i = 0; i < RS_WAVE; i++) {
+        known->mean[i] = 0;
+        known->d[i] = i < RS_HUNG ? m->row_untouched
+            : filter > 1 ? m->row_hanging[i - RS_HUNG] : (rs_real)0;
+        for (j = i + 1; j < RS_PARTS; j++)
+            known->u[RS_AT(i, j)] = 0;
+    }
+    memset(known->shift, 0, sizeof known->shift);
+    known->lasting[0] = 0;
+    known->lasting[1] = m->row_lasting;
+}
+
+/* Know of the ripple what is known before any row; behind a gap, what was known before it. */
+static inline void rs_begin_ripple(struct rigtool_sensor *s)
+{
+    const struct rs_model *m = &rs_model;
+    int j;
+    s->level_variance[0] = s->level_variance[1] = m->row_contact;
+    for (j = 0; j < RS_FILTERS; j++) {
+        struct rs_filter *h = &s->filters[j];
+        if (!s->followed) {
+            rs_unknown(&h->known, j);
+            h->before[0] = h->before[1] = h->known;
+        }
+        rs_no_load(&h->known, j);
+        rs_no_load(&h->before[0], j);
+        rs_no_load(&h->before[1], j);
+        h->lasts = j < 2 ? m->row_lasts : (rs_real)0;
+        s->hangs[j % 2] = m->row_hangs;
+    }
+    if (s->followed)
+        return;
+    s->followed = 1;
+    s->row_length = RS_ROW_STEPS;
+    rs_mix(s);
+    rs_renew_unfollowed(s);
 }
 
 /* The shaft rests somewhere within its count; the tendon is stretched by what acts on the output,
@@ -1655,19 +1713,7 @@ static inline void rs_begin(struct rigtool_sensor *s)
     s->direction = s->stroke = s->side = 1;
     s->rested = -1; /* nowhere yet */
     s->swing = m->least_swing;
-    s->row_length = RS_ROW_STEPS;
-    for (j = 0; j < RS_FILTERS; j++) {
-        struct rs_filter *h = &s->filters[j];
-        h->known.d[0] = m->row_untouched;
-        rs_unknown(&h->known, j);
-        h->known.lasting[1] = m->row_lasting;
-        h->lasts = j < 2 ? m->row_lasts : (rs_real)0;
-        h->before[0] = h->before[1] = h->known;
-        s->hangs[j % 2] = m->row_hangs;
-    }
-    rs_mix(s);
-    rs_renew_unfollowed(s);
-    s->level_variance[0] = s->level_variance[1] = m->row_contact;
+    rs_begin_ripple(s);
     s->still_up = s->still_down = RS_STILL_STEPS;
     rs_locate(s);
     rs_ahead(s);
@@ -1710,8 +1756,8 @@ static inline int rs_put_back(struct rigtool_sensor *s)
     return 0;
 }
 
-/* Take in a sample of the loop and return the latest reading; a current that is no number, and a
- * temperature that is none, or far outside, begin anew. */
+/* Take in a sample of the loop and return the latest reading; where the current is no number, or the
+ * temperature is none, or far outside, those before hold, RS_HELD times: then it begins anew. */
 static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
     struct rigtool_sensor *s, struct rigtool_sensor_sample sample)
 {
@@ -1723,8 +1769,17 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
     s->reading.fresh = 0;
     if (!(RS_MATH(fabs)(sample.temperature) <= rs_model.farthest)
         || (limited && !rs_finite(sample.current))) {
-        rigtool_sensor_init(s);
-        return &s->reading;
+        if (s->holds == 0) {
+            rs_restart(s);
+            return &s->reading;
+        }
+        s->holds--;
+        sample.current = s->known.current;
+        sample.temperature = s->known.temperature;
+        limited = !(RS_MATH(fabs)(sample.current) < rs_model.current_limit);
+    } else {
+        s->known = sample;
+        s->holds = RS_HELD;
     }
     if (s->collected == RS_AVERAGED / 2) /* angles belong to the middle of what is averaged */
         s->encoder = rs_from(sample.encoder, s->lost);

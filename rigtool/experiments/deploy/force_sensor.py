@@ -29,7 +29,7 @@ from rigtool.experiments.force_filter.estimate import idle_steps
 from rigtool.experiments.force_model.drawn_ripple import learned_ripple
 from rigtool.experiments.force_model.drive import VISCOUS
 from rigtool.experiments.force_model.intervals import SHOWN_FACTOR
-from rigtool.experiments.force_model.steps import LONGEST_EXACT, NO_CURRENT
+from rigtool.experiments.force_model.steps import LONGEST_EXACT, NO_CURRENT, held_samples
 from rigtool.experiments.force_sensor.power_up import (
     lasting_contact,
     mixed_ripple,
@@ -104,6 +104,7 @@ def _steps(instrument: SensorProperties) -> dict[str, int]:
         "LIMIT_STEPS": _within(motion_states.LIMIT_TIME, step_time),
         "SPEED_STEPS": _within(motion_states.SPEED_TIME, step_time) - 1,
         "IDLE_STEPS": idle_steps(step_time),
+        "HELD": held_samples(instrument.interval),
         "LEAP": int(min(_leap(instrument), INT32 // 2)),
         "COUNTING_STEPS": creeping.steps_of(lost_counts.COUNTING_TIME, step_time),
         "RESTED_STEPS": creeping.steps_of(creeping.RESTED_TIME, step_time),

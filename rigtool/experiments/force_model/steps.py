@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from rigtool.experiments.force_filter.encoder_angle import interpolated
 from rigtool.experiments.force_filter.estimate import Signals
 from rigtool.experiments.force_model.drive import MotorMap
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, Mask
 
 SAMPLE_TIME = 0.5e-3
 """Longest sample of the filter, s: bristles and tendon swing within milliseconds. With half of it,
@@ -42,6 +42,10 @@ LONGEST_EXACT = 1.5e-3
 
 NO_CURRENT = 1e-3
 """Largest current of a motor that is not driven, A."""
+
+HELD_TIME = 1e-3
+"""Time for which a current that is missing is taken for that of the sample before it, s: a step, a
+thirtieth of a period of the low-pass's corner. Without it the filter would begin anew."""
 
 CONTEXT_SAMPLES = 4096
 """Recorded samples on either side from which angles between counts are interpolated."""
@@ -182,6 +186,36 @@ class Stepper:
         self._held = held[:, count * self._size :].copy()
         end, size = count * self._size, self._size
         return (held[:, size - 1 : end : size] + held[:, size : end + 1 : size]) / 2
+
+
+def held_samples(interval: float) -> int:
+    """Return for how many samples of `interval` s a current holds that is not known."""
+    return max(1, round(HELD_TIME / interval))
+
+
+class Holder:
+    """Holds current and temperature where one of both is no number, for `held_samples`; samples are
+    added as they come. `count` is how many were held."""
+
+    def __init__(self, interval: float) -> None:
+        self._most = held_samples(interval)
+        self._last, self._since = np.zeros((2, 1)), self._most
+        self.count = 0
+
+    def add(self, signals: Array) -> Array:
+        """Return current and temperature (2, n)."""
+        known: Mask = np.isfinite(signals).all(axis=0)
+        if known.all():
+            self._last, self._since = signals[:, -1:].copy(), 0
+            return signals
+        place = np.arange(1, len(known) + 1)
+        last = np.maximum.accumulate(np.where(known, place, 0))
+        since = place - last + np.where(last == 0, self._since, 0)
+        held = ~known & (since <= self._most)
+        whole = np.hstack([self._last, signals])
+        self._last, self._since = whole[:, last[-1] :][:, :1].copy(), int(since[-1])
+        self.count += int(np.count_nonzero(held))
+        return np.where(held, whole[:, last], signals)
 
 
 def unbroken(steps: Array, good: NDArray[np.bool_], interval: float) -> list[slice]:

@@ -146,7 +146,8 @@ class _Shown:
 
     def ended(self, contact: Contact, within: slice) -> Place:
         """Return when a contact ends, between two rows."""
-        first = max(contact.found, contact.begin) // self.every - within.start
+        # what samples so far do not show may start behind the first row that is sure
+        first = max(max(contact.found, contact.begin) // self.every - within.start, 0)
         own = slice(first, contact.rows(self.every).stop - within.start)
         side = self._side(within, own)
         level = side[own].mean() / 2

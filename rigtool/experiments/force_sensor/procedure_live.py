@@ -16,7 +16,8 @@ import numpy as np
 from rigtool.errors import RecipeError
 from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import State
-from rigtool.experiments.force_model.steps import LONGEST_EXACT, FilterSteps, unbroken
+from rigtool.experiments.force_model.steps import LONGEST_EXACT, FilterSteps, Holder, unbroken
+from rigtool.experiments.force_sensor.power_up.power_up import PowerUp
 from rigtool.experiments.force_sensor.procedure_over_time import model_and_reach, over_time
 from rigtool.experiments.force_sensor.procedure_reading import NEEDED_CHANNELS, instrument_of
 from rigtool.experiments.force_sensor.sensor import Sensor
@@ -54,14 +55,17 @@ class LiveForce:
         model, reach = model_and_reach(tables, kt, recipe)
         self._instrument = instrument_of(recipe, kt, model, reach, interval)
         self._every, self._counts = every, self._instrument.counts()
-        self._last = np.zeros(0)
+        self._last, self._holder = np.zeros(0), Holder(interval)
         self._waiting = np.empty((len(NEEDED_CHANNELS), 0))
+        self._power_up: PowerUp | None = None
         self._begin(0.0)
         # numba is imported now: later the rig moves, and its watchdog waits
         self._rows(np.zeros((len(NEEDED_CHANNELS) - 1, math.ceil(BATCH_TIME / interval))))
+        self._power_up = None
 
     def _begin(self, time: float) -> None:
-        self._sensor = Sensor(self._instrument, context=False)
+        self._sensor = Sensor(self._instrument, context=False, before=self._power_up)
+        self._power_up = self._sensor.power_up
         self._counts = self._instrument.counts(self._counts.lost)
         self._began, self._steps = time - self._instrument.interval / 2, 0
 
@@ -69,6 +73,8 @@ class LiveForce:
         """Return rows (r,) of what these signals (n,) complete: `time` s, `torque`, `u`, `low` and
         `high` N m, and `state`; without a value NaN."""
         new = np.array([_as_stored(name, block[name]) for name in NEEDED_CHANNELS])
+        if new.shape[1]:
+            new[2:] = self._holder.add(new[2:])
         samples = np.hstack([self._waiting, new])
         if samples.shape[1] * self._instrument.interval < BATCH_TIME:
             self._waiting, samples = samples, samples[:, :0]

@@ -108,6 +108,10 @@ def _measure(
 # -- analysing
 
 
+UNEVEN = 0.01
+"""Share of gaps between samples from which on they are no gaps: the times are uneven."""
+
+
 def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: Run) -> Outcome:
     """Read the torque over time from every recording that has the channels.
 
@@ -133,10 +137,16 @@ def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: R
         unknown = dict.fromkeys(name for name, block in blocks if np.isnan(block).any())
         corner_hz = recipe.measure_force.motion.corner_hz
         why = f" (NaN, or a value that none has, is in {', '.join(unknown)})" if unknown else ""
+        remedy = "record for longer, without gaps"
+        uneven = sum(r.breaks for r in read) / max(sum(r.size for r in recorded), 1)
+        if not unknown and uneven > UNEVEN:
+            why = (
+                f": {100 * uneven:.2g} % of the times between samples are off by half of their mean"
+            )
+            remedy = "record at even times"
         raise InsufficientDataError(
             f"{run.path}: no recording has {shortest_stretch(corner_hz):.3g} s without a gap{why}, "
-            "which the filter needs at measure_force.motion.bandwidth_hz: record for longer, "
-            "without gaps"
+            f"which the filter needs at measure_force.motion.bandwidth_hz: {remedy}"
         )
     observed = not all(r.has("position_setpoint") for r in recorded)
     zero = _zero(read, recipe, model, reach, observed=observed)
@@ -181,6 +191,12 @@ def _require_values(read: Sequence[Recorded], recorded: Sequence[Recording], rea
     """Raise `InsufficientDataError` unless some sample lies within what was learned."""
     if any(np.any(part.states != State.OUTSIDE) for r in read for part in r.parts):
         return
+    limited = sum(part.limited for r in read for part in r.parts)
+    if 2 * limited > sum(r.size for r in recorded):
+        raise InsufficientDataError(
+            f"{limited} samples have a current at its limit, rig.current_limit, or above: no "
+            "torque has a value; move slower, or against less, and check the unit of the current"
+        )
     every = [fault for r in read for part in r.parts for fault in part.faults]
     faults = [fault for fault in every if fault.no_value and fault.text]
     if faults:
@@ -193,12 +209,6 @@ def _require_values(read: Sequence[Recorded], recorded: Sequence[Recording], rea
             f"the motor was at {measured[0]:.3g} to {measured[1]:.3g} degC, its torque constant is "
             f"calibrated from {low:g} to {high:g} degC: no torque has a value; calibrate with "
             "calibrate_kt.temperatures_degc about these, and learn again, or measure within"
-        )
-    limited = sum(part.limited for r in read for part in r.parts)
-    if 2 * limited > sum(r.size for r in recorded):
-        raise InsufficientDataError(
-            f"{limited} samples have a current at its limit, rig.current_limit: no torque has a "
-            "value; move slower, or against less"
         )
     raise InsufficientDataError(
         f"no sample lies within what was learned, {reach.angle[0]:.4g} to {reach.angle[1]:.4g} rad "

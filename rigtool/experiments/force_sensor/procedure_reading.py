@@ -13,7 +13,8 @@ from rigtool.experiments.controller_torque import NO_ANSWER, loop_answer
 from rigtool.experiments.force_filter.estimate import PIECE_STEPS
 from rigtool.experiments.force_filter.motion_states import Reach
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.steps import unbroken
+from rigtool.experiments.force_model.steps import Holder, unbroken
+from rigtool.experiments.force_sensor.power_up.power_up import PowerUp
 from rigtool.experiments.force_sensor.results_over_time import TorqueRows
 from rigtool.experiments.force_sensor.results_recordings import Recorded
 from rigtool.experiments.force_sensor.sensor import SensorProperties
@@ -98,11 +99,11 @@ def read_recording(
     commanded = recording.has(SETPOINT_CHANNEL)
     loop = loop_answer(recipe) if commanded else NO_ANSWER
     parts: list[TorqueRows] = []
-    breaks, read, done = -1, 0.0, 0
+    breaks, read, done, holder = -1, 0.0, 0, Holder(interval)
     with ThreadPoolExecutor(1) as smoothing, ThreadPoolExecutor(1) as testing:
         stretch: Stretch | None = None
-        watch: SignalWatch | None = None
-        for block, begins in unbroken_blocks(recording, instrument):
+        known: tuple[SignalWatch, PowerUp] | tuple[None, None] = None, None
+        for block, begins in unbroken_blocks(recording, instrument, holder):
             if begins:
                 breaks += 1
                 parts += [] if stretch is None else stretch.reading()
@@ -120,9 +121,9 @@ def read_recording(
                     (smoothing, testing),
                     commanded=commanded,
                     loop=loop,
-                    before=watch,
+                    before=known,
                 )
-                watch = stretch.watch
+                known = stretch.known
             done += block.shape[1]
             if counts:
                 block[1] -= counts
@@ -140,7 +141,7 @@ def read_recording(
     lasts = last + interval - first if breaks else recording.size * interval
     lost, unended = lasts - read, 2 * instrument.grid.step_time
     lost = lost if breaks or not parts or lost > unended else 0.0
-    return Recorded(recording.name, tuple(parts), breaks, lost)
+    return Recorded(recording.name, tuple(parts), breaks, lost, holder.count)
 
 
 def _interval(recording: Recording, recipe: Recipe) -> float:
@@ -152,14 +153,14 @@ def _interval(recording: Recording, recipe: Recipe) -> float:
 
 
 def unbroken_blocks(
-    recording: Recording, instrument: SensorProperties
+    recording: Recording, instrument: SensorProperties, holder: Holder
 ) -> Iterator[tuple[Array, bool]]:
     """Yield the channels (c, n), time first, reference and set point last, and whether a sample is
     missing before them.
 
-    Samples with NaN are left out; a reference and a set point may be NaN. Of what lies between
-    two gaps and is too short to be analysed, no sample is yielded: thousands of filters would begin
-    for nothing.
+    Samples with NaN are left out, but where `holder` holds the current; a reference and a set point
+    may be NaN. Of what lies between two gaps and is too short to be analysed, no sample is yielded:
+    thousands of filters would begin for nothing.
     """
     optional = filter(recording.has, (REFERENCE_CHANNEL, SETPOINT_CHANNEL))
     names = (*NEEDED_CHANNELS, *optional)
@@ -169,6 +170,7 @@ def unbroken_blocks(
     before, number = np.zeros(0), 0
     for block in recording.blocks(*names, finite=False, size=BLOCK):
         samples = np.array(block)
+        samples[2:4] = holder.add(samples[2:4])
         time = np.concatenate([before, samples[0]])
         steps = rising_steps(time, number - before.size)
         number += samples.shape[1]

@@ -106,6 +106,8 @@ def steps_of_a_row(step_time: float, corner_hz: float) -> int:
     return max(1, int((1 / step_time) / (ROWS_PER_PERIOD * corner_hz) * (1 + 1e-6)))
 
 
+IS_CUT = "is a lower bound: beside a torque of half of it and more there is one without a value"
+
 FORCE_SIGNALS = ("time", "torque", "u", "states", "causal", "causal_u", "causal_states")
 
 
@@ -130,6 +132,8 @@ def over_time_tables(
     )
     known = whole.states != State.OUTSIDE
     results = _results(whole, known, sum(len(r.time) * r.step_time for r in rows), lost)
+    if "peak_torque" in results and _is_cut(rows, number, results["peak_torque"].value):
+        results["peak_torque"] = Quantity(results["peak_torque"].value, "N m", reason=IS_CUT)
     tables = {"force": _table(rows, whole, known, number, corner_hz, load_arm)}
     judged = [row for row in rows if row.reference is not None]
     if any(row.reference is not None and np.isfinite(row.reference).any() for row in judged):
@@ -149,6 +153,21 @@ def _results(
         results["peak_torque"] = Quantity(largest, "N m", largest_u)
         results["mean_torque"] = Quantity(float(torque.mean()), "N m", float(u.mean()))
     return results
+
+
+def _is_cut(rows: Sequence[TorqueRows], number: NDArray[np.intp], highest: float) -> bool:
+    """Return whether a torque of more than half of the peak, N m, is beside rows without a value,
+    between other ones of its recording (`number`, of each row)."""
+    ends = np.cumsum([len(row.time) for row in rows])
+    torque, states = (
+        np.insert(np.concatenate([getattr(row, name) for row in rows]), ends, fill)
+        for name, fill in (("torque", 0.0), ("states", State.OUTSIDE))
+    )
+    number = np.insert(number, ends, number[ends - 1])
+    place = np.flatnonzero(states != State.OUTSIDE)
+    high = np.abs(torque[place]) > abs(highest) / 2
+    apart = (np.diff(place) > 1) & (np.diff(number[place]) == 0)
+    return bool((apart & (high[1:] | high[:-1])).any())
 
 
 def peak(torque: Array, u: Array) -> tuple[float, float]:

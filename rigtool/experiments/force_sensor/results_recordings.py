@@ -24,6 +24,7 @@ from rigtool.experiments.force_model.contacts import (
 )
 from rigtool.experiments.force_model.intervals import SHOWN_FACTOR
 from rigtool.experiments.force_model.model import ROTOR_ORDERS
+from rigtool.experiments.force_model.steps import HELD_TIME
 from rigtool.experiments.force_sensor.events import LET_GO_TIME, UNSEEN, events
 from rigtool.experiments.force_sensor.results_over_time import (
     TorqueRows,
@@ -31,21 +32,26 @@ from rigtool.experiments.force_sensor.results_over_time import (
     peak,
 )
 from rigtool.experiments.outcome import Outcome
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Table
+
+CUT = ", infinite where the torque beside has no value: a bound"
+LACKS = ", infinite where a torque between has no value"
 
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
     """A recording by its stretches without gaps; `breaks` are between them, and `lost` s have no
-    torque: gaps, samples that are NaN, stretches that are too short."""
+    torque: gaps, samples that are NaN, stretches that are too short. In `held` samples current and
+    temperature are those of the one before."""
 
     name: str
     parts: tuple[TorqueRows, ...]
     breaks: int
     lost: float
+    held: int = 0
 
 
 def force_outcome(
@@ -67,12 +73,18 @@ def force_outcome(
         numbers=[number for number, _ in parts],
         lost=sum(r.lost for r in recordings),
     )
+    found = _events(parts) if np.isfinite(limits).any() else {}
+    peaks_u = found["events"]["peak_u"] if found else np.empty(0)
     if np.isfinite(limits).any():
-        tables |= (found := _events(parts))
-        count = found["events"].shape[0] if found else 0
-        results["contacts"] = Quantity(float(count), "1", reason="counted")
+        tables |= found
+        results["contacts"] = Quantity(float(len(peaks_u)), "1", reason="counted")
     known = tables["force"]["state"] != State.OUTSIDE
     notes = [*_notes(recordings, known, reach, scales), *_contact_notes(limits)]
+    if cut := np.count_nonzero(np.isinf(peaks_u)):
+        notes.append(
+            f"contacts that last where the torque has no value, or the recording ends: {cut}; what "
+            "they did there is unknown, and u of that infinite"
+        )
     return Outcome(results, tables, tuple(notes))
 
 
@@ -82,16 +94,19 @@ def _events(parts: Sequence[tuple[int, TorqueRows]]) -> dict[str, Table]:
     for number, row in parts:
         known = row.states != State.OUTSIDE
         for event in events(row):
-            span = event.rows
-            torque, u = row.torque[span][known[span]], row.u[span][known[span]]
+            rows = event.rows.start + np.flatnonzero(known[event.rows])
+            torque, u = row.torque[rows], row.u[rows]
+            cut_begin, cut_end, lacks = _cut(known, rows)
             rms = float(np.sqrt(np.mean(torque**2)))
             clear = torque[np.abs(torque) > COVERAGE_FACTOR * u]
             waves = 1 + int(np.count_nonzero(np.diff(np.sign(clear))))
             seen = math.nan if event.found == UNSEEN else event.found / row.every
             times = row.time[0] + row.step_time * np.array([event.start[0], seen, event.end[0]])
-            times_u = row.step_time * event.start[1], row.step_time * event.end[1]
-            means = torque.mean(), u.mean(), rms, np.mean(np.abs(torque) * u) / rms
-            found.append((number, *times, *times_u, *peak(torque, u), *means, waves))
+            times_u = row.step_time * np.array([event.start[1] + cut_begin, event.end[1] + cut_end])
+            largest, largest_u = peak(torque, u)
+            peaks = largest, largest_u + cut_begin + cut_end + lacks
+            means = torque.mean(), u.mean() + lacks, rms, np.mean(np.abs(torque) * u) / rms + lacks
+            found.append((number, *times, *times_u, *peaks, *means, waves))
     if not found:
         return {}
     numbers = np.array(found).T
@@ -99,23 +114,33 @@ def _events(parts: Sequence[tuple[int, TorqueRows]]) -> dict[str, Table]:
         "event": Column(np.arange(len(found)), "1"),
         "recording": Column(numbers[0].astype(np.int32), "1", "of this run, in order"),
         "start": Column(numbers[1], "s", "bench clock, where the torque passes half of it"),
-        "start_u": Column(numbers[4], "s", "standard uncertainty of start"),
+        "start_u": Column(numbers[4], "s", f"standard uncertainty of start{CUT}"),
         "found": Column(numbers[2], "s", "first time at which samples up to it show it, NaN: none"),
         "end": Column(
             numbers[3], "s", "bench clock, where the torque falls below half of its mean"
         ),
-        "end_u": Column(numbers[5], "s", "standard uncertainty of end"),
+        "end_u": Column(numbers[5], "s", f"standard uncertainty of end{CUT}"),
         "peak": Column(numbers[6], "N m", "torque whose interval is farthest from zero"),
-        "peak_u": Column(numbers[7], "N m", "standard uncertainty of peak"),
-        "mean": Column(numbers[8], "N m", "mean torque from start to end"),
-        "mean_u": Column(numbers[9], "N m", "standard uncertainty of mean"),
-        "rms": Column(numbers[10], "N m", "root mean square of the torque from start to end"),
-        "rms_u": Column(numbers[11], "N m", "standard uncertainty of rms"),
+        "peak_u": Column(numbers[7], "N m", f"standard uncertainty of peak{CUT}"),
+        "mean": Column(numbers[8], "N m", "mean of the known torque from start to end"),
+        "mean_u": Column(numbers[9], "N m", f"standard uncertainty of mean{LACKS}"),
+        "rms": Column(numbers[10], "N m", "root mean square of the known torque, same span"),
+        "rms_u": Column(numbers[11], "N m", f"standard uncertainty of rms{LACKS}"),
         "half_waves": Column(
             numbers[12].astype(np.int32), "1", "two in a period of a force that swings, else 1"
         ),
     }
     return {"events": Table(("event",), columns, "mean", "contacts found in the torque over time")}
+
+
+def _cut(known: Mask, rows: NDArray[np.intp]) -> tuple[float, float, float]:
+    """Return what is added to the u of an event's start, of its end, and of its mean, from its
+    known rows: infinity where it may go on before the first or behind the last one, and where the
+    rows between have no value, else 0."""
+    around = np.pad(known, 1, constant_values=False)
+    cuts = not around[rows[0]], not around[rows[-1] + 2], rows[-1] - rows[0] >= len(rows)
+    begin, end, lacks = np.where(cuts, np.inf, 0.0)
+    return begin, end, lacks
 
 
 def _contact_notes(limits: Array) -> list[str]:
@@ -187,6 +212,11 @@ def _notes(
         notes.append(
             f"samples are missing or NaN: {lost:.3g} s have no value, and the filter begins anew "
             f"behind them (gaps between samples: {sum(r.breaks for r in recordings)})"
+        )
+    if held := sum(r.held for r in recordings):
+        notes.append(
+            f"current or temperature is NaN in {held} samples that are taken for the one before: "
+            f"{HELD_TIME * 1e3:g} ms at most, what lasts longer is a gap"
         )
     if limited := sum(part.limited for r in recordings for part in r.parts):
         notes.append(f"samples with a current at its limit: {limited}; no value there")

@@ -179,14 +179,20 @@ class Sensed:
 
 
 class Sensor:
-    """Takes samples without a gap; a gap begins another one. As about a current at its limit, the
-    torque has no value until the filter has found the motion.
+    """Takes samples without a gap; a gap begins another one, which knows the ripple of `before`. As
+    about a current at its limit, the torque has no value until the filter has found the motion.
 
     Without `context` each sample must be a count of the encoder, and an estimate waits for the
     sample that ends its step alone.
     """
 
-    def __init__(self, instrument: SensorProperties, *, context: bool = True) -> None:
+    def __init__(
+        self,
+        instrument: SensorProperties,
+        *,
+        context: bool = True,
+        before: PowerUp | None = None,
+    ) -> None:
         grid, model = instrument.grid, instrument.model
         self._instrument = instrument
         self._sampler = Sampler(
@@ -194,7 +200,11 @@ class Sensor:
         )
         self._stepper = Stepper(grid.step_samples)
         self._filter = instrument.filter(model.uncertainty)
-        self.power_up = PowerUp(model, grid.step_time, instrument.corner_hz)
+        self.power_up = (
+            PowerUp(model, grid.step_time, instrument.corner_hz)
+            if before is None
+            else before.behind_gap()
+        )
         self._judge = instrument.judge(causal=True)
         self._before: Moments | None = None
         length = model.plant(grid.sample_time).housing_presliding_angle

@@ -26,6 +26,7 @@ from rigtool.experiments.force_filter.swinging import TAKEN_VARIANCE
 from rigtool.experiments.force_model.contacts import Contact, contacts, trial
 from rigtool.experiments.force_model.intervals import uncertainty_of_kinds
 from rigtool.experiments.force_sensor.commanded_inertia import CommandedTurns
+from rigtool.experiments.force_sensor.power_up.power_up import PowerUp
 from rigtool.experiments.force_sensor.response import Spectra
 from rigtool.experiments.force_sensor.results_over_time import TorqueRows, steps_of_a_row
 from rigtool.experiments.force_sensor.sensor import Sensed, Sensor, SensorProperties
@@ -85,7 +86,8 @@ class Stretch:
     The first of `workers` smooths, the second runs the filter that contacts are found with, while
     the next samples are read; each does one block at a time, in order. `seconds` have a torque once
     the stretch is over, which has `size` samples at most. Of what only the table's rows show, only
-    rows are kept: an hour has 3.6 million steps.
+    rows are kept: an hour has 3.6 million steps. `known` is what the stretch `before` leaves to the
+    one behind a gap, once it is over.
     """
 
     def __init__(
@@ -98,14 +100,15 @@ class Stretch:
         *,
         commanded: bool = False,
         loop: LoopAnswer = NO_ANSWER,
-        before: SignalWatch | None = None,
+        before: tuple[SignalWatch, PowerUp] | tuple[None, None] = (None, None),
     ) -> None:
         step_time = instrument.grid.step_time
         self._name, self._instrument, self._workers = name, instrument, workers
         self._began = began - instrument.interval / 2
         self._every = steps_of_a_row(step_time, instrument.corner_hz)
-        self._sensor = Sensor(instrument)
-        self.watch = SignalWatch(instrument, commanded=commanded, loop=loop, before=before)
+        watch, power_up = before
+        self._sensor = Sensor(instrument, before=power_up)
+        self.watch = SignalWatch(instrument, commanded=commanded, loop=loop, before=watch)
         self._again = instrument.again()
         self._smoother = Smoother(instrument.model.uncertainty, step_time)
         self._untouched: Filter | None = None
@@ -121,6 +124,11 @@ class Stretch:
         self._filled: dict[str, int] = dict.fromkeys(ESTIMATED_TYPES, 0)
         self._steps = self._limited = self._samples = 0
         self.seconds = 0.0
+
+    @property
+    def known(self) -> tuple[SignalWatch, PowerUp]:
+        """What the stretch behind a gap takes over."""
+        return self.watch, self._sensor.power_up
 
     def add(self, samples: Array, setpoint: Array | None = None, *, last: bool = False) -> None:
         """Read samples (c, n): encoder, current, temperature, and the reference where it is. The

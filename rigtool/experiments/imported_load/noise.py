@@ -73,7 +73,7 @@ class LearnedNoise:
             np.max(more, where=np.isfinite(more), initial=self._folded(noise, bandwidth_hz))
         )
         rounding = max(noise.rounding - self.rounding, 0.0)
-        ratios = (self.lowest / noise.density, noise.density / self.highest)
+        ratios = _ratio(self.lowest, noise.density), _ratio(noise.density, self.highest)
         lag = max(_lag(ratio, bandwidth_hz) for ratio in ratios)
         return PASSED * bandwidth_hz * density + rounding, lag
 
@@ -124,6 +124,11 @@ def _density(effort: Array, segment: int, rate: float, bandwidth_hz: float) -> A
             within = (spectrum.frequency >= low) & (spectrum.frequency < high)
             density[number] = spectrum.psd[within].mean()
     return density
+
+
+def _ratio(density: Array, other: Array) -> Array:
+    """Return the ratio of two densities (o,), NaN where the other one has no noise."""
+    return np.divide(density, other, out=np.full(OCTAVES, np.nan), where=other > 0)
 
 
 def _lag(ratio: Array, bandwidth_hz: float) -> float:

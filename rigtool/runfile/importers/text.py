@@ -156,9 +156,10 @@ def read_numbers(
             raise
         hint = f"delimiter = {shown.delimiter!r} and decimal = {shown.decimal!r} in [file]"
         raise RunFileError(f"{error}; its lines look like {hint}") from None
+    joined_by = ", or has decimal commas, which need another delimiter" * (split == ",")
     bad = {
         number: f"has {count} {'field' if count == 1 else 'fields'}, the others have {usual}: "
-        "it was cut short or joined"
+        f"it was cut short or joined{joined_by * (count > usual)}"
         for number, count in zip(lines.number, counts, strict=True)
         if count != usual
     }

@@ -158,9 +158,13 @@ class CSensor:
         return readings[: self._library.sensor_run(len(values), *pointers)].copy()
 
 
-def expected(own, samples):
-    """Return what the sensor in Python reads, as `CSensor.add` does."""
-    found = Sensor(own, context=False).add(samples)
+def expected(own, samples, behind=None):
+    """Return what the sensor in Python reads, as `CSensor.add` does, `behind` a gap other ones."""
+    sensor = Sensor(own, context=False)
+    if behind is not None:
+        sensor.add(behind)
+        sensor = Sensor(own, context=False, before=sensor.power_up)
+    found = sensor.add(samples)
     torque, u = found.torque, found.u
     readings = np.stack([torque, u, torque - 1.96 * u, torque + 1.96 * u, found.states], axis=1)
     readings[found.states == 0, :4] = np.nan

@@ -12,6 +12,7 @@ import pytest
 from rigtool.experiments.deploy.force_sensor import sensor_header
 from rigtool.experiments.force_filter.creeping import Creeping
 from rigtool.experiments.force_filter.motion_states import State
+from rigtool.experiments.force_model.steps import Holder
 from tests.experiments.deploy.sensors import (
     COUNTS,
     HOST,
@@ -151,13 +152,35 @@ def test_blocks_and_begins_change_nothing(libraries, samples):
     np.testing.assert_array_equal(np.concatenate(pieces), whole)
 
 
-def test_what_is_no_number_begins_anew(libraries, samples):
+def test_what_is_no_number_begins_anew_and_forgets_no_ripple(libraries, samples):
     library, part = libraries["double"], samples["free"][:, 16000:24000]
-    alone = read(library, part)
-    for bad in ((0.0, np.nan, WARM), (0.0, np.inf, WARM), (0.0, 0.1, np.nan)):
-        read(library, samples["strokes"][:, :9000])
-        assert not len(library.add(np.array([bad]).T))
-        np.testing.assert_array_equal(library.add(part), alone)
+    before = samples["strokes"][:, :9000]
+    held = np.tile(before[:, -1:], 8)
+    wanted = expected(instrument(), part, np.hstack([before, held]))
+    alone = expected(instrument(), part)
+    assert np.nanmax(np.abs(wanted - alone)[:, 0]) > 1e-5
+    for bad in ((np.nan, WARM), (np.inf, WARM), (0.1, np.nan)):
+        read(library, before)
+        library.add(np.vstack([held[0], np.tile(bad, (8, 1)).T]))
+        assert not len(library.add(np.array([[held[0, 0], *bad]]).T))
+        found = library.add(part)
+        np.testing.assert_array_equal(found[:, 4], wanted[:, 4])
+        np.testing.assert_allclose(found[:, :4], wanted[:, :4], atol=1e-9 * RANGE)
+
+
+def test_a_current_that_is_missing_holds(libraries, samples):
+    library, part = libraries["double"], samples["free"][:, 12000:24000].copy()
+    whole = read(library, part)
+    part[1, 500::400] = part[2, 703] = np.nan
+    part[1, 6001:6008] = -np.inf
+    held = part.copy()
+    held[1:] = Holder(INTERVAL).add(part[1:].copy())
+    found, wanted = read(library, part), expected(instrument(), held)
+    np.testing.assert_array_equal(found[:, 4], wanted[:, 4])
+    np.testing.assert_allclose(found[:, :4], wanted[:, :4], atol=1e-9 * RANGE)
+    known = whole[:, 4] > 0
+    assert known.sum() > 1000
+    assert (np.abs(found - whole)[known, 0] < whole[known, 1]).all()
 
 
 @pytest.mark.parametrize("kind", ["double", "float"])

@@ -63,6 +63,14 @@ def test_what_lets_go_ends_an_event(apart, count, side):
     assert len(listed(torque)[1]) == count
 
 
+def test_what_no_sample_so_far_shows_may_be_sure_before_it_starts():
+    torque = np.repeat([0.0, 5e-3, 20e-3, 0.0], [50, 4, 50, 96])
+    (event,) = shown(torque, [])
+    assert event.found == UNSEEN
+    assert event.start[0] == pytest.approx(53.5, abs=1)
+    assert event.end[0] == pytest.approx(103.5, abs=1)
+
+
 def test_what_may_be_nothing_for_long_is_touched_by_nobody():
     """Without a value, the interval holds everything."""
     rows, half = np.full(200, 5e-3), np.full(200, HALF)

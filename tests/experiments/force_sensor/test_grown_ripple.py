@@ -48,6 +48,8 @@ def test_smoothed_u_holds_both_errors_as_of_one_phase():
     rows = slice(None, None, round((none.time[1] - none.time[0]) / own.grid.step_time))
     np.testing.assert_allclose(linear, (2 * sensed.grown * variance)[rows], rtol=1e-3, atol=1e-15)
     assert np.median(linear / none.u**2) > 0.02
+    ripple = variance * (1 + 2 * sensed.grown) + sensor.power_up.counted * sensed.unfollowed
+    np.testing.assert_allclose(once.doubts, ripple[rows], rtol=1e-3)
 
     size = np.abs(samples[1])
     gain, square = GROWING.values()

@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_filter.motion_states import KIND_COUNT, Reach, State
+from rigtool.experiments.force_model.steps import Holder
 from rigtool.experiments.force_sensor.procedure_reading import _interval, unbroken_blocks
 from rigtool.experiments.force_sensor.response import (
     MAX_AMPLITUDE_U,
@@ -95,7 +96,8 @@ def test_results_are_of_rows_with_a_value_and_of_the_time_that_was_read():
     known = states != State.OUTSIDE
     assert results["valid_share"].value == pytest.approx(known.mean() * 0.5 / 0.6)
     peak = max(np.flatnonzero(known), key=lambda k: abs(torque[k]) - 1.96 * u[k])
-    assert (results["peak_torque"].value, results["peak_torque"].u) == (torque[peak], u[peak])
+    assert results["peak_torque"].value == torque[peak]
+    assert results["peak_torque"].u is None  # rows between have no value
     mean = results["mean_torque"]
     assert (mean.value, mean.u) == pytest.approx((torque[known].mean(), u[known].mean()))
     table = tables["force"]
@@ -223,6 +225,7 @@ def stored(seed, size=30_000, interval=1e-3, referred=True):
     names = ("encoder", "current_setpoint", "temperature", *(["reference_torque"] * referred))
     channels = {"time": time, **{name: rng.standard_normal(size) for name in names}}
     channels["encoder"][rng.integers(0, size, 4)] = np.nan
+    channels["current_setpoint"][[700, size // 2, size // 2 + 1]] = np.nan
     if referred:
         channels["reference_torque"][::7] = np.nan
     cuts = np.sort(rng.integers(0, size, 6))
@@ -238,6 +241,8 @@ def test_blocks_hold_all_that_has_no_gap_and_is_long_enough(seed, referred):
     recording = stored(seed, referred=referred)
     channels = np.array([*recording.channels.values()])
     good = np.isfinite(channels[:4]).all(axis=0)
+    held = np.isfinite(channels[1]) & ~good & np.append(False, good[:-1])
+    good |= held  # one sample: that is the time for which a current holds
     step = np.diff(channels[0])
     stretches, now = [], []
     for k in range(channels.shape[1]):
@@ -250,7 +255,7 @@ def test_blocks_hold_all_that_has_no_gap_and_is_long_enough(seed, referred):
     shortest = shortest_stretch(own.corner_hz) / 1e-3 - 2 * own.grid.step_time / 1e-3
     edges = np.cumsum(recording.lengths)
     found, current = [], None
-    for block, begins in unbroken_blocks(recording, own):
+    for block, begins in unbroken_blocks(recording, own, holder := Holder(1e-3)):
         assert block.shape[0] == channels.shape[0]
         assert block.shape[1] <= 8192 * own.grid.step_time / 1e-3 + 1
         if begins:
@@ -261,6 +266,7 @@ def test_blocks_hold_all_that_has_no_gap_and_is_long_enough(seed, referred):
     kept = [part for part in stretches if part]
     long = [part for part in kept if len(part) >= shortest]
     whole = [channels[0, part].tolist() for part in long]
+    assert holder.count == held.sum() == 2
     assert [part for part in found if len(part) >= shortest] == whole
     for part in found:  # what is short and yielded nevertheless touches the end of a block
         if len(part) < shortest:
@@ -276,7 +282,21 @@ def test_a_time_that_falls_back_is_named_by_its_sample(at):
     time[at:] -= 1e-3
     recording.lengths = [5000, 1, 4999, 10_000]
     with pytest.raises(InsufficientDataError, match=f"does not rise at sample {at} "):
-        list(unbroken_blocks(recording, instrument(interval=1e-3, loop_time=1e-3)))
+        list(unbroken_blocks(recording, instrument(interval=1e-3, loop_time=1e-3), Holder(1e-3)))
+
+
+@pytest.mark.parametrize("cuts", [[], range(1, 400), [37, 40, 300]])
+def test_a_current_that_is_missing_holds_for_a_step(cuts):
+    """Both signals are those of the last sample that has both; as long in any blocks."""
+    rng = np.random.default_rng(5)
+    given, holder = rng.standard_normal((2, 400)), Holder(125e-6)
+    given[:, :3] = given[0, 20] = given[1, 39:47] = given[0, 100:120] = given[1, -4:] = np.nan
+    found = np.hstack([holder.add(part.copy()) for part in np.split(given, cuts, axis=1)])
+    wanted = given.copy()
+    for first, last in ((20, 21), (39, 47), (100, 108), (396, 400)):
+        wanted[:, first:last] = given[:, first - 1 : first]
+    np.testing.assert_array_equal(found, wanted)
+    assert holder.count == 21
 
 
 @pytest.mark.parametrize(

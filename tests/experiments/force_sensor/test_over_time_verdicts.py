@@ -178,7 +178,10 @@ def test_without_a_value_the_first_reason_is_stated():
         SignalFault(0.0, 1.0, "", True),
         SignalFault(1.0, 2.0, "the encoder leaps", True),
     )
-    assert refused(Part(none, 99, faults), recorded([50.0])) == "the encoder leaps"
+    assert refused(Part(none, 50, faults), recorded([50.0])) == "the encoder leaps"
+    limited = refused(Part(none, 51, faults), recorded([50.0]))
+    assert "51 samples have a current at its limit" in limited
+    assert "check the unit of the current" in limited
     for degc in ([41.0, np.nan, 45.0], [10.0, 19.0]):
         text = refused(Part(none), recorded([np.nan], degc))
         assert f"at {np.nanmin(degc):g} to {np.nanmax(degc):g} degC" in text

@@ -446,7 +446,8 @@ def test_a_clock_that_is_off_loses_no_sample(rig, strokes, tmp_path):
 def test_what_is_too_short_between_gaps_begins_no_filter(rig, strokes, tmp_path, monkeypatch):
     def riddled(signals):
         signals["current_setpoint"] = signals["current_setpoint"].copy()
-        signals["current_setpoint"][::100] = np.nan
+        for first in range(9):  # longer than a current holds
+            signals["current_setpoint"][first::100] = np.nan
         return signals
 
     begun = []

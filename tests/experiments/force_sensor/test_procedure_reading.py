@@ -37,7 +37,7 @@ class Stretches:
 
     def __init__(self):
         self.made, self.given, self.wanted = [], [], []
-        self.watch = None
+        self.known = None, None
 
     def __call__(
         self,
@@ -52,8 +52,8 @@ class Stretches:
         before=None,
     ):
         assert len(workers) == 2
-        assert before is self.watch  # that of the stretch before
-        self.watch = object()
+        assert before == self.known  # that of the stretch before
+        self.known = object(), object()
         assert loop == (OWN if commanded else NO_ANSWER)
         self.made.append((name, began, size, commanded))
         self.given.append([])
@@ -68,7 +68,7 @@ class Stretches:
             self.given[number].append(samples)
             self.wanted.append(setpoint)
 
-        stretch = SimpleNamespace(add=add, reading=reading, seconds=0.0, watch=self.watch)
+        stretch = SimpleNamespace(add=add, reading=reading, seconds=0.0, known=self.known)
         return stretch
 
 

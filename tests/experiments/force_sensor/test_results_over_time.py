@@ -38,7 +38,9 @@ def rows(name, began, contacts=(), reference=False, outside=slice(0)):
 
 def test_contacts_are_in_the_time_of_the_bench_with_their_torque():
     contacts = (Contact(503, 520, 748), Contact(1000, 1010, 1100))
-    given = [rows("a", 10.0, contacts[:1]), rows("b", 50.0, contacts[1:], outside=slice(205, 210))]
+    given = [rows("a", 10.0, contacts[:1]), rows("b", 50.0, contacts[1:])]
+    for own in given:
+        own.torque[-10:] = 0.0
     table = _events(list(enumerate(given)))["events"]
     assert table["recording"].tolist() == [0, 1]
     for row, own in enumerate(given):
@@ -54,7 +56,6 @@ def test_contacts_are_in_the_time_of_the_bench_with_their_torque():
             assert table[name][row] == pytest.approx(began + STEP * place, abs=1e-9)
         inside = np.zeros(ROWS, dtype=bool)
         inside[event.rows] = True
-        inside &= own.states != State.OUTSIDE
         assert table["mean"][row] == pytest.approx(own.torque[inside].mean(), rel=1e-9)
         assert table["mean_u"][row] == pytest.approx(own.u[inside].mean(), rel=1e-9)
         # the interval farthest from zero: torque rises and u falls
@@ -63,6 +64,40 @@ def test_contacts_are_in_the_time_of_the_bench_with_their_torque():
     outside = np.where(np.arange(ROWS) < 90, State.AGAINST, State.OUTSIDE)
     hidden = replace(given[0], states=outside)
     assert _events([(0, hidden)]) == {}
+
+
+@pytest.mark.parametrize(
+    ("outside", "unknown", "bound"),
+    [
+        ([], [], False),
+        ([slice(100, 110)], ["start", "peak"], True),
+        ([slice(300, 330)], ["end", "peak"], True),
+        ([slice(0, 120), slice(290, 400)], ["start", "end", "peak"], False),
+        ([slice(200, 203)], ["peak", "mean", "rms"], True),
+        ([slice(0, 20), slice(350, 360)], [], False),
+    ],
+)
+def test_what_a_row_without_a_value_cuts_is_a_bound(outside, unknown, bound):
+    """What the largest torque was there nobody knows; begin and end of the recording are no part of
+    its peak."""
+    own = rows("a", 0.0, (Contact(560, 570, 1400),))
+    own = replace(own, torque=np.repeat([0.0, 5e-3, 0.0], [110, 190, 100]))
+    for each in outside:
+        own.states[each] = State.OUTSIDE
+    table = _events([(0, own)])["events"]
+    assert table.shape == (1,)
+    for name in ("start", "end", "peak", "mean", "rms"):
+        assert np.isinf(table[f"{name}_u"][0]) == (name in unknown), name
+        assert np.isfinite(table[name][0])
+    result = over_time_tables([own], 5e-3, 30.0)[0]["peak_torque"]
+    assert (result.u is None) == bound
+
+
+@pytest.mark.parametrize("numbers", [[0, 0], [0, 1]])
+def test_a_peak_beside_a_gap_is_a_bound_and_one_at_the_end_of_a_recording_is_none(numbers):
+    parts = [rows("a", 0.0), rows("a", 3.0)]
+    result = over_time_tables(parts, 5e-3, 30.0, numbers=numbers, lost=1.0)[0]["peak_torque"]
+    assert (result.u is None) == (numbers == [0, 0])
 
 
 def test_an_event_of_a_force_that_swings_has_its_size_and_its_half_waves():

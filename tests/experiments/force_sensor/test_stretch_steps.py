@@ -75,7 +75,8 @@ def test_a_reference_is_judged_where_it_is_known_on_both_sides():
 class Sensed:
     """A sensor of which each step is one sample, numbered."""
 
-    def __init__(self, own):
+    def __init__(self, own, *, before):
+        assert before == "ripple"
         self.steps, self.last_deviation = 0, 0.0
 
     def add(self, samples, *, last=False):
@@ -99,7 +100,7 @@ def test_rows_are_every_so_many_steps_whatever_the_blocks_are(every, blocks, mon
     monkeypatch.setattr(Stretch, "_smooth", lambda self, sensed, last: None)
     own = instrument(interval=1e-3, loop_time=1e-3, current_limit=1.5)
     with ThreadPoolExecutor(1) as one, ThreadPoolExecutor(1) as other:
-        found = Stretch("a", own, 3.0, 40, (one, other))
+        found = Stretch("a", own, 3.0, 40, (one, other), before=(None, "ripple"))
         found._untouched = None
         samples = np.random.default_rng(2).standard_normal((4, 40))
         first = 0

@@ -64,6 +64,17 @@ def test_white_noise_in_the_band_is_what_the_low_pass_lets_through():
     assert learned.beyond(noise_of(quiet, 1000.0, 5.0), 5.0) == (0, 0)
 
 
+@pytest.mark.parametrize("where", ["learned", "read"])
+def test_an_effort_without_noise_tells_no_lag(where):
+    """In one of both recordings nothing is left of an octave."""
+    noise = noise_of(np.random.default_rng(3).normal(size=20_000), 1000.0, 5.0)
+    none = EffortNoise(np.zeros_like(noise.density), 0.0, noise.rate)
+    learned, read = (none, noise) if where == "learned" else (noise, none)
+    variance, lag = learned_noise([learned]).beyond(read, 5.0)
+    assert np.isfinite(variance)
+    assert lag == 0
+
+
 def test_a_short_recording_is_one_part():
     """Of less than four segments, by scipy; with twice as many it is the mean of two parts."""
     rate, bandwidth = 1000.0, 5.0

@@ -137,6 +137,13 @@ def damaged(kind):
 KINDS = ("text", "empty", "nan", "cut", "joined", "backwards", "again", "end")
 
 
+def test_decimal_commas_between_commas_are_named(tmp_path):
+    source = write(tmp_path / "a.csv", ["ms,angle,mA", *(f"{k},0,{k}7,0,1" for k in range(40))])
+    text = TEXT.replace("column = 1", 'column = "ms"')
+    with pytest.raises(RunFileError, match="decimal commas, which need another delimiter"):
+        take(source, tmp_path / "a.h5", text)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_bad_line_is_named_and_nothing_is_written(tmp_path, kind):
     rows, end, number, message = damaged(kind)

@@ -81,9 +81,16 @@ from rigtool.experiments.force_sensor.power_up.shown_ripple import show
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled, compiled_allocating
 
+OF_THE_FILTER = (
+    *("waves", "held_steps", "seen", "angle", "speed", "housing", "sine", "cosine"),
+    *("row", "filled", "slid", "passed", "level", "shift", "shifts", "lasting", "lastings"),
+)
+"""What of the state a filter that begins anew has not seen."""
+
 
 class PowerUp:
-    """Follows the ripple of a recording without a gap; steps are added as they come.
+    """Follows the ripple of a recording, until `behind_gap` without one; steps are added as they
+    come.
 
     `add` and `again` give what ripple adds to the torque on the output after each of m steps, its
     variance, N m and N2 m2, and what it takes off the drive torque, N m, not low-passed.
@@ -112,24 +119,43 @@ class PowerUp:
         )
         self._state = np.zeros(1, dtype=STATE)
         state = self._state[0]
-        state["length"], state["direction"] = steps, 1.0
+        state["length"] = steps
         state["expected"][1] = -learned.coefficient
         state["drawn"] = CHANGED**2 * learned.drawn, learned.drawn
         state["mean"][:, :WAVE_COUNT] = np.tile(state["expected"], (2, 1))
         variances = np.zeros((FILTERS, PARTS))
         variances[:, :WAVE_COUNT] = np.tile(state["drawn"], (2, 1))
-        variances[:, WAVE_COUNT] = (factor * size) ** 2
-        variances[2:, WAVE_COUNT + 1 :] = hanging
         state["covariance"] = [np.diag(one) for one in variances]
         state["means"] = state["mean"][:, None]
         state["covariances"] = state["covariance"][:, None]
-        for name in ("lasting", "lastings"):
-            state[name][..., 1] = (LASTING * factor * size) ** 2
-        state["lasts"], state["hangs"] = LASTS, HANGS
-        state["level_variance"] = (CONTACT * factor * size) ** 2
+        self._begin()
         mix(state)
         renew_unfollowed(state, self._parameters[0], 0.0)
         self._low_pass = passed.section(corner_hz, step_time)
+
+    def behind_gap(self) -> PowerUp:
+        """Return it for samples behind a gap: what is known of the ripple holds until the power is
+        cut."""
+        self._begin()
+        return self
+
+    def _begin(self) -> None:
+        """Know nothing of what acts, of strokes, and of where the filter has got to."""
+        state, own = self._state[0], self._parameters[0]
+        for name in OF_THE_FILTER:
+            state[name] = 0.0
+        state["direction"] = 1.0
+        place, variances = np.arange(WAVE_COUNT, PARTS), np.zeros((FILTERS, PARTS - WAVE_COUNT))
+        variances[:, 0], variances[2:, 1:] = own["size"] ** 2, own["hanging"]
+        state["mean"][:, place] = state["means"][..., place] = 0.0
+        for name in ("covariance", "covariances"):
+            state[name][..., place, :] = state[name][..., place] = 0.0
+        state["covariance"][:, place, place] = variances
+        state["covariances"][:, :, place, place] = variances[:, None]
+        for name in ("lasting", "lastings"):
+            state[name][..., 1] = (LASTING * own["size"]) ** 2
+        state["lasts"], state["hangs"] = LASTS, HANGS
+        state["level_variance"] = (CONTACT * own["size"]) ** 2
 
     @property
     def probability(self) -> float:
