@@ -108,7 +108,8 @@ class PowerUp:
         others = self._held_steps, lag_time, square, learned.orders, learned.unfollowed
         hanging = (np.array(HANGING) * factor * size) ** 2
         self._parameters = np.array(
-            [(*numbers, *housing, slow, shown, *load, *others, hanging)], dtype=PARAMETERS
+            [(*numbers, *housing, slow, shown, *load, *others, hanging, learned.growth)],
+            dtype=PARAMETERS,
         )
         self._state = np.zeros(1, dtype=STATE)
         state = self._state[0]
@@ -256,8 +257,12 @@ def _follow(
         if sliding.shape[0]:
             waves[WAVE_COUNT] = drive[k, 2]
             show(s, p, follows[k], torque[k])
+            s.current[0] += p.lag * (drive[k, 0] - s.current[0])
+            s.current[1] += p.lag * (drive[k, 0] * abs(drive[k, 1]) - s.current[1])
             for j in range(WAVE_COUNT):
-                s.row[j] += p.factor * s.seen[j] / s.length
+                growth = p.growth[j // 2]
+                grown = 1.0 + growth[0] * s.current[0] + growth[1] * s.current[1]
+                s.row[j] += p.factor * grown * s.seen[j] / s.length
             s.row[WAVE_COUNT] += (torque[k] + p.factor * s.seen[WAVE_COUNT]) / s.length
             s.row[WAVE_COUNT + 1] += math.cos(follows[k, 6]) / s.length
             s.row[WAVE_COUNT + 2] += math.sin(follows[k, 6]) / s.length
