@@ -34,8 +34,14 @@ A weak contact may also act all the time, or a load hang (`lasting_contact`), un
 
 The strongest orders that were learned are followed. The other ones, and what of the ripple grows
 with the current, are in the variance alone (`drawn_ripple`). One misalignment has the same phases
-at all currents, so that what is not known of a ripple grows as the ripple does. With the share r by
-which it has grown, and the variance V of what is followed, the covariance of both errors is r V:
+at all currents, so that what is not known of a ripple grows as the ripple does. In the rows w_j
+therefore grows with the current i, of which friction changes the sign with the direction. Without
+it, a load that hangs, less a ripple that lags, would explain what is odd in the direction:
+
+    w_j (1 + lag(g' kT i + h' kT i |i|)),   g', h' by order.
+
+With the share r by which it has grown, and the variance V of what is followed, the covariance of
+both errors is r V:
 
     variance = V (1 + 2 r) + variance of what is not followed,   r^2 = (kT i)^2 A(i)^2 / A^2.
 
