@@ -127,8 +127,9 @@ struct rs_model {
     /* ripple of another power-up: experiments/force_sensor/power_up/power_up.py has them */
     rs_real wave_kept, wave_held, wave_shown, wave_slow, wave_turn;
     int wave_order[RS_FOLLOWED]; /* they rise */
-    /* lag, and what is not followed by order: square, and squares by powers of the current */
-    rs_real wave_lag, wave_unfollowed[RS_ORDERS][1 + RS_POWERS];
+    /* lag, and what is not followed by order: square, and squares by powers of the current; what
+     * the followed orders grow by: per torque of the current, per that and the current's size */
+    rs_real wave_lag, wave_unfollowed[RS_ORDERS][1 + RS_POWERS], wave_growth[RS_FOLLOWED][2];
     /* under either hypothesis, the learned power-up first */
     rs_real wave_mean[2][RS_WAVES], wave_variance[2][RS_WAVES], wave_doubt[2][RS_WAVES];
     rs_real wave_square; /* the sum of the amplitudes' squares */
@@ -209,6 +210,7 @@ struct rigtool_sensor {
     rs_real gain[RS_STATES], stroke;
     rs_real taken;
     int held_steps;
+    rs_real lagged[2]; /* torque of the current, and that by its size, behind the lag */
     rs_real waves[RS_WAVES + 1], row[RS_PARTS], ripple_q[RS_ORDER];
     rs_real level[2], level_variance[2]; /* where something touches: by a slow, a fast walk */
     int row_steps, row_slid;
@@ -1333,6 +1335,18 @@ static inline void rs_renew_unfollowed(struct rigtool_sensor *s)
     }
 }
 
+/* Of the current, A, and the torque constant, N m/A: of the samples that a step ends with. */
+static inline rs_real rs_mean_current(const struct rigtool_sensor *s)
+{
+    return (s->current_before + s->current) / 2;
+}
+
+static inline rs_real rs_constant(const struct rigtool_sensor *s)
+{
+    const rs_real warm = (s->temperature_before + s->temperature) / 2;
+    return rs_model.constant + rs_model.constant_slope * warm;
+}
+
 /* Add a step to the row; a whole row is taken in where all of it slides. The length of the next
  * one is drawn (D. H. Lehmer): no force swings with the rows. */
 static inline void rs_row(struct rigtool_sensor *s, const rs_real seen[RS_WAVES])
@@ -1340,13 +1354,20 @@ static inline void rs_row(struct rigtool_sensor *s, const rs_real seen[RS_WAVES]
     const struct rs_model *m = &rs_model;
     const rs_real share = (rs_real)1 / (rs_real)s->row_length, felt = m->torque_factor * share;
     const rs_real direction = rs_sign(s->x[RS_SPEED]);
+    const rs_real current = rs_mean_current(s), torque = rs_constant(s) * current;
     int j;
     s->row[0] += (s->x[RS_TORQUE] + m->torque_factor * s->shown[RS_WAVES].seen) * share;
     s->row[RS_HUNG] += share * s->cosine;
     s->row[RS_HUNG + 1] += share * s->sine;
     s->row[RS_HUNG + 2] += share;
-    for (j = 0; j < RS_WAVES; j++)
-        s->row[RS_WAVE + j] += felt * seen[j];
+    s->lagged[0] += (1 - m->wave_kept) * (torque - s->lagged[0]);
+    s->lagged[1] += (1 - m->wave_kept) * (torque * RS_MATH(fabs)(current) - s->lagged[1]);
+    for (j = 0; j < RS_FOLLOWED; j++) {
+        const rs_real *growth = m->wave_growth[j];
+        const rs_real grown = felt * (1 + growth[0] * s->lagged[0] + growth[1] * s->lagged[1]);
+        s->row[RS_WAVE + 2 * j] += grown * seen[2 * j];
+        s->row[RS_WAVE + 2 * j + 1] += grown * seen[2 * j + 1];
+    }
     s->row_slid += s->x[RS_HOUSING] * direction >= m->sliding;
     if (++s->row_steps < s->row_length)
         return;
@@ -1367,10 +1388,8 @@ static inline void rs_row(struct rigtool_sensor *s, const rs_real seen[RS_WAVES]
 static inline rs_real rs_rippling(const struct rigtool_sensor *s)
 {
     const struct rs_model *m = &rs_model;
-    const rs_real current = (s->current_before + s->current) / 2, size = RS_MATH(fabs)(current);
-    const rs_real warm = (s->temperature_before + s->temperature) / 2;
-    const rs_real constant = m->constant + m->constant_slope * warm;
-    const rs_real *u = s->unfollowed, growing = rs_square(constant * current)
+    const rs_real current = rs_mean_current(s), size = RS_MATH(fabs)(current);
+    const rs_real *u = s->unfollowed, growing = rs_square(rs_constant(s) * current)
         * (u[1] + size * (u[2] + size * u[3]));
     const rs_real grown = m->wave_square > 0 ? RS_MATH(sqrt)(growing / m->wave_square) : (rs_real)0;
     return s->ripple_spread * (1 + 2 * grown) + s->counts[1] * (u[0] + growing);

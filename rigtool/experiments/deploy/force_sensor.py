@@ -199,6 +199,7 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
         "wave_order": learned.orders,
         "wave_lag": lag_time,
         "wave_unfollowed": plant.torque_factor**2 * learned.unfollowed,
+        "wave_growth": learned.growth,
         "wave_held": shown_ripple.LARGEST_SHOWN,
         "wave_shown": 1 - math.exp(-step_time / shown_ripple.SHOWN_TIME),
         "wave_slow": shown_ripple.HELD_LENGTHS * plant.presliding_angle / step_time,

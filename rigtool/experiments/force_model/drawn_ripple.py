@@ -11,6 +11,9 @@ in the mean over phases, behind the lag tau at the rotor's speed b'. The current
 and inertia besides M. Load friction looks like the low orders of g: the square of what was learned
 holds the square of its errors already.
 
+One misalignment has the same phases at all currents: in the rows of `power_up`, what is followed
+grows by the part of g + h |i| that lies along c, over the amplitude A of another power-up.
+
 What is followed may be larger than it was learned: along a part of a turn waves look alike, like
 the housing's friction, and those of low orders like a constant. Learning sizes all orders at once
 (`Problem.size_waves`), and along such a part the high ones alone are determined. So ripple and
@@ -46,12 +49,14 @@ class LearnedRipple:
     """The ripple of the learned power-up: the `orders` that are followed, as they rise, cosine and
     sine of each (12,) N m as they are at low speed, and the variance that another power-up's have;
     and of every order of `ROTOR_ORDERS` what the variance alone has (14, 4): C^2, and coefficients
-    of 1, |i| and i^2 of A(i)^2."""
+    of 1, |i| and i^2 of A(i)^2; and what the followed ones grow by (6, 2): per torque of the
+    current, 1/(N m), and per that and the current's size, 1/(N m A)."""
 
     orders: NDArray[np.int64]
     coefficient: Array
     drawn: Array
     unfollowed: Array
+    growth: Array
 
 
 def learned_ripple(model: ForceModel) -> LearnedRipple:
@@ -75,7 +80,20 @@ def learned_ripple(model: ForceModel) -> LearnedRipple:
         mean.reshape(-1, 2)[strongest].ravel(),
         np.repeat(drawn[strongest], 2),
         np.column_stack([other, *growing]),
+        _growth(learned, mean, 2 * drawn)[strongest],
     )
+
+
+def _growth(learned: LearnedModel, mean: Array, square: Array) -> Array:
+    """Return `LearnedRipple.growth` of every order (14, 2): the parts of g and h along c, the mean
+    (28,), over the amplitude A, of `square` (14,) N2 m2."""
+    pairs = mean.reshape(-1, 2)
+    scale = np.hypot(*pairs.T) * np.sqrt(square)
+    kinds = Kind.GAIN_RIPPLE, Kind.SQUARE_RIPPLE
+    found = [(sums(learned, kind) @ learned.coefficient).reshape(-1, 2) for kind in kinds]
+    along = np.column_stack([np.sum(pairs * one, axis=1) for one in found])
+    growth: Array = np.divide(along, scale[:, None], out=0 * along, where=scale[:, None] > 0)
+    return growth
 
 
 def sums(learned: LearnedModel, *kinds: Kind) -> Array:

@@ -47,10 +47,10 @@ PARAMETERS = np.dtype(
     + [(name, "f8") for name in ("step_time", "inertia", "friction", "length", "slow", "shown")]
     + [(name, "f8") for name in ("load_friction", "onset", "held", "lag_time", "square")]
     + [("orders", "i8", (FOLLOWED,)), ("unfollowed", "f8", (len(ROTOR_ORDERS), 4))]
-    + [("hanging", "f8", (len(HANGING),))]
+    + [("hanging", "f8", (len(HANGING),)), ("growth", "f8", (FOLLOWED, 2))]
 )
-"""`orders` and `unfollowed` are those of `drawn_ripple`, `square` is the sum of A^2, `hanging` the
-variances of a load that hangs."""
+"""`orders`, `unfollowed` and `growth` are those of `drawn_ripple`, `square` is the sum of A^2,
+`hanging` the variances of a load that hangs."""
 
 WAVE_COUNT, FILTERS = 2 * FOLLOWED, 4
 PARTS = WAVE_COUNT + 1 + len(HANGING)
@@ -65,6 +65,8 @@ STATE = np.dtype(
         ("waves", "f8", (WAVE_COUNT + 1,)),
         ("held", "f8", (WAVE_COUNT,)),
         ("held_steps", "f8"),
+        # torque of the current, N m, and that by its size, N m A, behind the ripple's lag
+        ("current", "f8", (2,)),
         # as the filter's torque shows them, and what its other states `FOLLOWED` are then off by
         ("seen", "f8", (WAVE_COUNT + 1,)),
         ("angle", "f8", (WAVE_COUNT + 1,)),

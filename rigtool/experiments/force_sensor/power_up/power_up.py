@@ -34,8 +34,14 @@ A weak contact may also act all the time, or a load hang (`lasting_contact`), un
 
 The strongest orders that were learned are followed. The other ones, and what of the ripple grows
 with the current, are in the variance alone (`drawn_ripple`). One misalignment has the same phases
-at all currents, so that what is not known of a ripple grows as the ripple does. With the share r by
-which it has grown, and the variance V of what is followed, the covariance of both errors is r V:
+at all currents, so that what is not known of a ripple grows as the ripple does. In the rows w_j
+therefore grows with the current i, of which friction changes the sign with the direction. Without
+it, a load that hangs, less a ripple that lags, would explain what is odd in the direction:
+
+    w_j (1 + lag(g' kT i + h' kT i |i|)),   g', h' by order.
+
+With the share r by which it has grown, and the variance V of what is followed, the covariance of
+both errors is r V:
 
     variance = V (1 + 2 r) + variance of what is not followed,   r^2 = (kT i)^2 A(i)^2 / A^2.
 
@@ -115,7 +121,8 @@ class PowerUp:
         others = self._held_steps, lag_time, square, learned.orders, learned.unfollowed
         hanging = (np.array(HANGING) * factor * size) ** 2
         self._parameters = np.array(
-            [(*numbers, *housing, slow, shown, *load, *others, hanging)], dtype=PARAMETERS
+            [(*numbers, *housing, slow, shown, *load, *others, hanging, learned.growth)],
+            dtype=PARAMETERS,
         )
         self._state = np.zeros(1, dtype=STATE)
         state = self._state[0]
@@ -278,8 +285,12 @@ def _follow(
         if sliding.shape[0]:
             waves[WAVE_COUNT] = drive[k, 2]
             show(s, p, follows[k], torque[k])
+            s.current[0] += p.lag * (drive[k, 0] - s.current[0])
+            s.current[1] += p.lag * (drive[k, 0] * abs(drive[k, 1]) - s.current[1])
             for j in range(WAVE_COUNT):
-                s.row[j] += p.factor * s.seen[j] / s.length
+                growth = p.growth[j // 2]
+                grown = 1.0 + growth[0] * s.current[0] + growth[1] * s.current[1]
+                s.row[j] += p.factor * grown * s.seen[j] / s.length
             s.row[WAVE_COUNT] += (torque[k] + p.factor * s.seen[WAVE_COUNT]) / s.length
             s.row[WAVE_COUNT + 1] += math.cos(follows[k, 6]) / s.length
             s.row[WAVE_COUNT + 2] += math.sin(follows[k, 6]) / s.length

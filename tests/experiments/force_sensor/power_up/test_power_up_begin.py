@@ -98,6 +98,35 @@ def test_another_power_up_has_the_amplitude_of_each_order_and_the_doubt_of_still
         assert_allclose(own.unfollowed[order - 1], [left, *growing], atol=1e-18)
 
 
+def test_an_order_grows_by_what_was_learned_along_it_over_what_a_power_up_draws():
+    """With phases a quarter of a turn apart, it does not; an order without amplitude does not."""
+    wave = 6e-4 * np.exp(0.3j)
+    grows = {1: (Kind.GAIN_RIPPLE, 4e-3 * np.exp(0.3j)), 2: (Kind.GAIN_RIPPLE, 4e-3j * wave / 6e-4)}
+    grows[3] = (Kind.SQUARE_RIPPLE, -7e-3 * np.exp(0.8j))
+    grows[4] = (Kind.GAIN_RIPPLE, 4e-3)
+    terms, values = [], []
+    for order, (kind, growing) in grows.items():
+        for of, value in ((Kind.RIPPLE, wave if order < 4 else 0.0), (kind, growing)):
+            terms += [Term(of, 1e-3, order, quarter) for quarter in (0, 1)]
+            values += [np.real(value), np.imag(value)]
+    deviation = 2e-4  # of each coefficient
+    covariance = np.eye(FIRST + len(terms)) * deviation**2
+    given = {"terms": terms, "coefficient": np.array(values), "covariance": covariance}
+
+    class Own(Model):
+        learned = type(LEARNED)(**{**vars(LEARNED), **given})
+
+    model = Own()
+    own, (mean, _) = learned_ripple(model), sized_waves(model.learned)
+    drawn = dict(zip(own.orders.tolist(), np.sqrt(2 * own.drawn[::2]), strict=True))
+    growth = dict(zip(own.orders.tolist(), own.growth, strict=True))
+    assert drawn[1] > np.hypot(*mean[:2])
+    assert_allclose(growth[1], [4e-3 / drawn[1], 0.0], rtol=1e-6)
+    assert_allclose(growth[2], 0.0, atol=1e-12)
+    assert_allclose(growth[3], [0.0, -7e-3 * math.cos(0.5) / drawn[3]], rtol=1e-6)
+    assert_allclose([growth[order] for order in growth if order > 3], 0.0)
+
+
 @pytest.mark.parametrize("step_time", [1e-3, 4e-3])
 def test_it_is_followed_from_the_learned_power_up_on(step_time):
     model = covaried()
@@ -127,6 +156,7 @@ def test_it_is_followed_from_the_learned_power_up_on(step_time):
         "lag_time": LEARNED.shape.ripple_time,
         "orders": learned.orders,
         "unfollowed": learned.unfollowed,
+        "growth": learned.growth,
         "square": drawn.sum(),
         "hanging": (np.array(HANGING) * factor * size) ** 2,
     }
@@ -212,7 +242,8 @@ def test_each_step_gives_mean_and_variance_of_what_is_known():
     learned = learned_ripple(model)
     orders, means, held = np.repeat(learned.orders, 2), [], 0.0
     by_order = s["unfollowed"].copy()  # at rest, until a row is full
-    row = np.zeros(PARTS)
+    row, lag, lagged = np.zeros(PARTS), 1 - math.exp(-step / LEARNED.shape.ripple_time), np.zeros(2)
+    assert np.abs(learned.growth).max(axis=0).min() > 0
     for k in range(size):
         ripple, variance, less, unfollowed, grown = own.add(
             angle[[k]], states[[k]], 0.01 * np.ones((1, 6)), drive[[k]], taken[[k]]
@@ -226,8 +257,10 @@ def test_each_step_gives_mean_and_variance_of_what_is_known():
         by = (0.045 * current[k]) ** 2 * grows / learned.drawn.sum()
         assert_allclose(grown, [math.sqrt(by)])
         *seen, left = factor * s["seen"]
+        lagged += lag * (drive[k, 0] * np.array([1.0, abs(current[k])]) - lagged)
+        grows_by = 1 + np.repeat(learned.growth @ lagged, 2)
         torque, output = states[k, [TORQUE, GRASPER]]
-        row += [*seen, torque + left, np.cos(output), np.sin(output), 1.0]
+        row += [*(seen * grows_by), torque + left, np.cos(output), np.sin(output), 1.0]
         if (k + 1) % SPREAD_STEPS == 0:
             held = seen @ covariance @ seen
         assert_allclose(variance, held * (1 + 2 * grown) + 0.6 * unfollowed)
