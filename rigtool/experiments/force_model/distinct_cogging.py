@@ -9,7 +9,7 @@ one by one. With N independent rows and a sum of squares Q, one that lowers Q to
     N / 2 ln(Q / Q') > ln N + ln C
 
 (G. Schwarz, Ann. Statist. 6(2) 461-464, 1978; the noise is unknown, cosine and sine are two
-parameters) among C orders that may be.
+parameters) among C orders that may be. Q has the square of the least residual that is assumed.
 
 Ripple with hardly a lag is like cogging, so that a search may end at such a lag. Orders are looked
 for at the lag found and at the one where the search began: the better of both is taken.
@@ -24,6 +24,7 @@ import numpy as np
 
 from rigtool.experiments.force_model.model import Kind, Shape, Term
 from rigtool.experiments.force_model.sliding_problem import (
+    LEAST_RMS,
     ROWS_PER_INDEPENDENT_ROW,
     Problem,
     logarithms,
@@ -101,6 +102,10 @@ def _normal(problem: Problem, shape: Shape, tried: tuple[Term, ...]) -> tuple[Ar
     used = sum(float(one.records[0].used.sum()) / one.records[0].passes for one in wide)
     scale = np.concatenate([problem.shape_spread, wide[0].spread, [1.0]])
     normal = np.sum([one.sums(0, shape, coefficient) for one in wide], axis=0)
+    least = (LEAST_RMS * problem.friction) ** 2
+    normal[-1, -1] += (
+        sum(float(one.records[0].used.sum() / one.variance[0]) for one in wide) * least
+    )
     normal *= np.outer(scale, scale)
     away = (logarithms(shape) - logarithms(problem.start)) / problem.shape_spread
     normal += np.diag(np.append(np.ones(len(scale) - 1), away @ away))
