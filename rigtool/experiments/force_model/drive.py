@@ -21,7 +21,8 @@ from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled_allocating
 
 MAP_SIZE = 2048
-"""Points of a turn: orders up to 14 are interpolated between them within 2.5e-4."""
+"""Points of a turn: an order is interpolated between them within 2.5e-4 up to 14, 1.2e-2 up
+to 100."""
 
 COGGING, RIPPLE, GAIN, SQUARE, VISCOUS = range(5)
 LARGEST_LEAD = 1 / 3
@@ -30,6 +31,7 @@ LARGEST_LEAD = 1 / 3
 _COLUMNS = {
     Kind.OFFSET: COGGING,
     Kind.COGGING: COGGING,
+    Kind.DISTINCT_COGGING: COGGING,
     Kind.RIPPLE: RIPPLE,
     Kind.GAIN_RIPPLE: GAIN,
     Kind.SQUARE_RIPPLE: SQUARE,

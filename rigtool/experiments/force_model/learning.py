@@ -17,6 +17,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_model.deviations import Deviations
+from rigtool.experiments.force_model.distinct_cogging import distinct_cogging
 from rigtool.experiments.force_model.model import Known, Shape, Sizes, Term, terms_for
 from rigtool.experiments.force_model.records import SLIDING_COUNT_RATE, Record, bristle_scale
 from rigtool.experiments.force_model.sliding_problem import (
@@ -144,6 +145,10 @@ def learn_sliding(
     shape = min(tried, key=lambda shape: scan.cost(shape)[1])
     problem = Problem(records, terms, known, shape, deviation, sizes.friction)
     shape, _ = _searched(problem, shape)
+    while found := distinct_cogging(problem, shape, sizes.ripple):
+        terms, shape = found
+        problem = problem.beside(terms)
+        shape, _ = _searched(problem, shape)
     problem.size_waves(shape)
     shape, coefficient = _searched(problem, shape)
     normal = problem.normal(shape, coefficient)

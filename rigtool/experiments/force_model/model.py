@@ -15,6 +15,7 @@ the output's angle times the quantity that it modulates:
     INERTIA           b''                          error of the stated inertia
     VISCOUS           b' cos, b' sin               drag, and drag by rotor angle
     COGGING           cos, sin                     torque by rotor angle, at once
+    DISTINCT_COGGING  cos, sin                     the same, of orders that stand out
     RIPPLE            lag(cos), lag(sin)           ripple of the amplifier, which lags
     GAIN_RIPPLE       lag(kT i cos), ..            ripple in proportion to the current
     SQUARE_RIPPLE     lag(kT i |i| cos), ..        and to its square
@@ -66,6 +67,7 @@ class Kind(IntEnum):
     LOAD_FRICTION = 13
     CARRIED = 14
     DELAY = 15
+    DISTINCT_COGGING = 16
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,14 @@ _OF_TENDON = ("stiffness", "damping", "grasper_inertia", "tip_friction", "tip_le
 """Parameters of a shape on which the tendon depends."""
 
 _LAGGING = (Kind.RIPPLE, Kind.GAIN_RIPPLE, Kind.SQUARE_RIPPLE)
-FIXED = (Kind.OFFSET, Kind.INERTIA, Kind.VISCOUS, Kind.COGGING, Kind.DELAY)
+FIXED = (
+    Kind.OFFSET,
+    Kind.INERTIA,
+    Kind.VISCOUS,
+    Kind.COGGING,
+    Kind.DELAY,
+    Kind.DISTINCT_COGGING,
+)
 """Kinds that lag, and those that no shape changes."""
 
 

@@ -37,6 +37,10 @@ ROWS_HZ = 100.0
 GRID_HZ = 500.0
 """Samples a second of the grid."""
 
+WAVE_PART = 1 / 4
+"""Frequency, in parts of the grid's, up to which waves are on it: those above would alias, and the
+low-pass of the rows leaves less than 1 % of them."""
+
 SLOW_PERIOD = 3.0
 """Period from which on half of the grid is enough, s."""
 
@@ -112,9 +116,14 @@ class Record:
         return self._slope(self.current, 1)
 
     def wave(self, order: int, quarter: int) -> Array:
-        """Return cosine (quarter 0) or sine (1) of an order of the rotor's angle (n,)."""
+        """Return cosine (quarter 0) or sine (1) of an order of the rotor's angle (n,), 0 where
+        it is too fast for the grid."""
         if (order, quarter) not in self._waves:
-            self._waves[order, quarter] = (np.sin if quarter else np.cos)(order * self.angle)
+            shown = order * np.abs(self.speed) * self.interval < WAVE_PART * 2 * math.pi
+            turned = order * self.angle
+            self._waves[order, quarter] = np.where(
+                shown, np.sin(turned) if quarter else np.cos(turned), 0.0
+            )
         return self._waves[order, quarter]
 
     @cached_property

@@ -119,6 +119,19 @@ class Problem:
         self._strokes = [self._own(record) for record in records]
         self._bent = [n for n, term in enumerate(terms) if term.kind not in FIXED]
 
+    def beside(self, terms: tuple[Term, ...]) -> Problem:
+        """Return the problem with more terms; all records weigh alike."""
+        return self._other(self.records, (*self.terms, *terms))
+
+    def only(self, number: int) -> Problem:
+        """Return the problem of one record alone, with the weight that all have alike."""
+        return self._other(self.records[number : number + 1], self.terms)
+
+    def _other(self, records: Sequence[Record], terms: tuple[Term, ...]) -> Problem:
+        found = Problem(records, terms, self.known, self.start, self.deviation, self.friction)
+        found.variance = float(np.median(self.variance / self._rows)) * found._rows
+        return found
+
     def _at(self, number: int, shape: Shape) -> _AtShape:
         """Return a record's values at a shape; those that no shape changes are kept from the
         last."""

@@ -179,7 +179,8 @@ class _Search:
         learned, (low, high) = model.learned, reach
         self._known = learned.known
         self._angle = low + (0.5 + np.arange(ANGLE_CELLS)) * (high - low) / ANGLE_CELLS
-        kinds = ((Kind.BEARING, Kind.HOUSING), (Kind.OFFSET, Kind.COGGING), (Kind.RIPPLE,))
+        at_once = Kind.OFFSET, Kind.COGGING, Kind.DISTINCT_COGGING
+        kinds = ((Kind.BEARING, Kind.HOUSING), at_once, (Kind.RIPPLE,))
         own = [[n for n, t in enumerate(learned.terms) if t.kind in kind] for kind in kinds]
         self._terms = [[learned.terms[n] for n in numbers] for numbers in own]
         every = [*own[0], *own[1], *own[2]]
@@ -223,7 +224,9 @@ class _Search:
         """Return the terms in the passes (n, t), N m on the output."""
         friction = self._direction[:, None] * self._friction(moved)[self._cell]
         rotor = self._angle[self._cell] - moved
-        by_angle = [wave(term, rotor) for term in self._terms[1]]
+        width = float(self._angle[1] - self._angle[0]) / (2 * np.pi)
+        means = [float(np.sinc(term.order * width)) for term in self._terms[1]]  # over a cell
+        by_angle = [mean * wave(t, rotor) for mean, t in zip(means, self._terms[1], strict=True)]
         by_angle += [_lagged_wave(term, rotor, self._lag) for term in self._terms[2]]
         others = np.array(by_angle).reshape(-1, len(rotor)).T
         return np.hstack([friction, self._known.torque_factor * others])

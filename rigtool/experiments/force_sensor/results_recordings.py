@@ -182,7 +182,7 @@ def _doubt_notes(parts: Sequence[TorqueRows]) -> list[str]:
         f"the ripple of this power-up stays in doubt: {math.sqrt(doubt) * 1e3:.2g} mN m of the "
         f"{math.sqrt(whole) * 1e3:.2g} mN m of u (root mean squares) stand for it; it shows where "
         "the rotor slides for seconds and nothing touches, and errors that look like contacts hide "
-        f"it, as does cogging of orders above {ROTOR_ORDERS[-1]}"
+        f"it, as does ripple of orders above {ROTOR_ORDERS[-1]}"
     ]
 
 

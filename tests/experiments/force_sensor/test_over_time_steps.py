@@ -190,7 +190,7 @@ def test_a_ripple_in_doubt_is_noted_where_it_makes_most_of_u(share, noted):
     assert len(notes) == noted
     if noted:  # mean squares of u are (60 * 1 + 30 * 4) / 90 = 2 mN2 m2, of the doubt 0.6 of it
         assert "in doubt: 1.1 mN m of the 1.4 mN m of u" in notes[0]
-        assert "cogging of orders above 14" in notes[0]
+        assert "ripple of orders above 14" in notes[0]
 
 
 # -- blocks
