@@ -204,7 +204,7 @@ class Holder:
 
     def add(self, signals: Array) -> Array:
         """Return current and temperature (2, n)."""
-        known: Mask = np.isfinite(signals).all(axis=0)
+        known: Mask = np.logical_and.reduce(np.isfinite(signals), axis=0)
         if known.all():
             self._last, self._since = signals[:, -1:].copy(), 0
             return signals
