@@ -1,6 +1,7 @@
 """Ripple that has grown with the current adds its errors to those of what is followed."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,12 +14,14 @@ from tests.experiments.force_sensor.test_rest_between_forms import Certain
 
 
 def growing(size):
-    """Return an instrument whose ripple grows with the current `size` times as much."""
-    coefficient = LEARNED.coefficient.copy()
+    """Return an instrument whose ripple grows with the current `size` times as much, in quadrature
+    with what it is: rows do not grow."""
+    coefficient, terms = LEARNED.coefficient.copy(), list(LEARNED.terms)
     coefficient[-len(GROWING) :] *= size
+    terms[-len(GROWING) :] = [replace(t, quarter=1 - t.quarter) for t in terms[-len(GROWING) :]]
 
     class Own(Certain):
-        learned = SimpleNamespace(**{**vars(LEARNED), "coefficient": coefficient})
+        learned = SimpleNamespace(**{**vars(LEARNED), "coefficient": coefficient, "terms": terms})
 
     return instrument(model=Own())
 

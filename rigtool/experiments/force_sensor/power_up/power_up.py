@@ -90,6 +90,7 @@ from rigtool.numerics.compiled import compiled, compiled_allocating
 OF_THE_FILTER = (
     *("waves", "held_steps", "seen", "angle", "speed", "housing", "sine", "cosine"),
     *("row", "filled", "slid", "passed", "level", "shift", "shifts", "lasting", "lastings"),
+    "current",
 )
 """What of the state a filter that begins anew has not seen."""
 
