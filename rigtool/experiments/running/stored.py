@@ -62,7 +62,7 @@ def _recipe_of(procedure: Procedure, runs: Sequence[Run], overrides: Sequence[st
     if (recipe := runs[0].recipe) is None:
         raise RunFileError(
             f"{runs[0].path}: holds no recipe, so the rig's geometry is unknown: "
-            "analyse a run that rigtool recorded"
+            "analyse a run that rigtool recorded, or the imported runs themselves"
         )
     return _as_recorded(procedure, recipe, overrides)
 

@@ -146,8 +146,8 @@ def _proposed(columns: Sequence[str], names: Texts[str, str]) -> list[str]:
     """
     lines = []
     for index, column in enumerate(columns[:SHOWN_SIGNALS] or ["1"]):
-        name, unit = (f"NAME{index + 1}", "UNIT") if index else ("time", "s")
-        line = f'{name} = {{ column = {column}, unit = "{unit}" }}'
+        name = f"NAME{index + 1}" if index else "time"
+        line = f'{name} = {{ column = {column}, unit = "UNIT" }}'
         remark = _short(names.get(column, "").strip())
         lines.append(f"{line}  # {remark}" if remark else line)
     if len(columns) > SHOWN_SIGNALS:
