@@ -140,8 +140,6 @@ class _Shown:
         row += int((side[behind] > level).argmax())
         below = np.flatnonzero(side[:row] <= level)
         place = _passed(side, int(below[-1]), level) if len(below) else 0.0
-        if contact.found != UNSEEN:
-            place = min(place, contact.found / self.every - within.start)
         return self._place(place, side, level, within)
 
     def ended(self, contact: Contact, within: slice) -> Place:

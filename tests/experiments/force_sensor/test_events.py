@@ -175,6 +175,15 @@ def test_a_time_is_known_as_far_as_the_interval_holds_half_of_the_torque():
         )
 
 
+def test_a_force_that_is_found_early_starts_where_it_passes_half_of_what_it_grows_to():
+    """A strong force that takes 0.2 s shows long before: the time at which it does is no start."""
+    rows, found = np.interp(np.arange(300), [100, 140, 250], [0.0, 50e-3, 50e-3]), 103
+    (own,) = shown(rows, [Contact(found * EVERY, found * EVERY, 1200)])
+    behind = found + round(JUMP_WINDOW / ROW)
+    assert own.start[0] == pytest.approx((100 + behind) / 2, abs=0.1)
+    assert own.found == found * EVERY
+
+
 def test_intervals_of_start_and_end_hold_the_times_of_weak_pulses():
     """Errors with a memory of 0.1 s, torques of 4 to 15 times their deviation."""
     rng, kept, size = np.random.default_rng(7), math.exp(-ROW / 0.1), 800
