@@ -59,8 +59,9 @@ class Event:
 
     @property
     def rows(self) -> slice:
-        """The rows in which it lasts."""
-        return slice(int(self.start[0]), int(self.end[0]) + 1)
+        """The rows from its start to its end, one at least."""
+        last = int(self.end[0])
+        return slice(min(math.ceil(self.start[0]), last), last + 1)
 
 
 def events(rows: TorqueRows) -> list[Event]:
