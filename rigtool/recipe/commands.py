@@ -256,7 +256,9 @@ class ForceMotion(Section):
     )
     frequency_hz: float = Field(0.3, gt=0, le=100, description="of the sine, Hz")
     file: str | None = Field(
-        None, description="of the path: CSV with the columns time_s and angle_deg, of the output"
+        None,
+        description="of the path: CSV with the columns time_s and angle_deg, of the output; a "
+        "relative name begins at the working folder",
     )
     time_max: float = Field(3600.0, gt=0, le=3600, description="longest recording, s")
     bandwidth_hz: float = Field(

@@ -12,7 +12,9 @@ scatter of a_k' M_k, from which the median has its standard error. What repeats 
 is no inertia is not. It is left in r = M - J a, with M and a the medians of all changes, and by the
 sums R and A over time of r and of a with themselves, shifted by each lag, it moves J by
 sqrt(A' R / n) / a' a, n the points less what is fitted. A force that opposes the acceleration at
-both ends of all strokes cannot be told from an inertia.
+both ends of all strokes cannot be told from an inertia. Nor can friction that a reversal lacks: of
+a slow turn it has the shape, and a line and friction leave little of its a, so that a small torque
+makes a large J. So J a_k, and not J times the whole acceleration, has to be beyond errors.
 """
 
 from __future__ import annotations
@@ -107,7 +109,8 @@ def commanded_inertia(parts: Sequence[CommandedTurns]) -> UnknownInertia | None:
             return None
         certain += inertia / error / math.sqrt(2)
         torque = inertia * np.abs(acceleration[side])
-        if np.median(torque / u[side]) < TYPICAL_OVER_U:
+        shown = inertia * np.abs(windows[side, 0]).max(axis=1)
+        if np.median(shown / u[side]) < TYPICAL_OVER_U:
             return None
         found.append(UnknownInertia(inertia, float(np.median(torque))))
     least, largest = sorted(found, key=lambda one: one.inertia)

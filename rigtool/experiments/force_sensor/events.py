@@ -59,8 +59,9 @@ class Event:
 
     @property
     def rows(self) -> slice:
-        """The rows in which it lasts."""
-        return slice(int(self.start[0]), int(self.end[0]) + 1)
+        """The rows from its start to its end, one at least."""
+        last = int(self.end[0])
+        return slice(min(math.ceil(self.start[0]), last), last + 1)
 
 
 def events(rows: TorqueRows) -> list[Event]:
@@ -140,8 +141,6 @@ class _Shown:
         row += int((side[behind] > level).argmax())
         below = np.flatnonzero(side[:row] <= level)
         place = _passed(side, int(below[-1]), level) if len(below) else 0.0
-        if contact.found != UNSEEN:
-            place = min(place, contact.found / self.every - within.start)
         return self._place(place, side, level, within)
 
     def ended(self, contact: Contact, within: slice) -> Place:

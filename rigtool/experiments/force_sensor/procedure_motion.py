@@ -165,7 +165,7 @@ def require_learned(start: float | None, motion: Motion, reach: Reach, here: flo
         raise RecipeError(
             f"the motion of measure_force.motion reaches {fastest:.4g} rad/s at the motor, the "
             f"tables were learned up to {reach.speed:.4g} rad/s: move slower, or learn at higher "
-            "ilc_learn.loads.speeds_rev_per_s"
+            "ilc_learn.speeds_rev_per_s"
         )
     low, high = reach.angle
     margin = AT_THE_EDGE * (high - low)

@@ -205,7 +205,7 @@ def _notes(
         limit = any(part.limited for r in recordings for part in r.parts)
         why = ", about a current at its limit" if limit else ""
         notes.append(
-            f"no value in {100 * outside:.1f} % of the time: outside what was learned{why}, or "
+            f"no value in {100 * outside:.3g} % of the time: outside what was learned{why}, or "
             f"within {LIMIT_TIME:g} s behind a begin"
         )
     if lost := sum(r.lost for r in recordings):

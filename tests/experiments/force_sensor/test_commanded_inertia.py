@@ -66,6 +66,18 @@ def test_a_force_that_swings_the_rotor_is_no_inertia_in_step_with_the_strokes_ei
     assert commanded_inertia([own]) is None
 
 
+@pytest.mark.parametrize(
+    ("turn", "over_u", "is_found"), [(0.1, 0.9, 1), (0.3, 0.9, 0), (0.3, 1.4, 1)]
+)
+def test_an_inertia_is_stated_only_by_what_a_line_in_time_does_not_hold(turn, over_u, is_found):
+    _, acceleration, speed = strokes(turn)
+    torque = over_u * U * acceleration / np.abs(acceleration).max()
+    torque += drawn(np.random.default_rng(5)) / 3
+    angle, known, u = STEP * np.cumsum(speed), np.ones(len(TIME), bool), np.full(len(TIME), U)
+    found = commanded_inertia([CommandedTurns.of(STEP, angle, known, torque, u)])
+    assert (found is not None) == is_found
+
+
 @pytest.mark.parametrize("part", ["few", "unknown", "coarse", "short", "held"])
 def test_where_no_turns_are_asked_for_nothing_is_said(part):
     torque, u, known = 40e-6 * ACCELERATION, np.full(len(TIME), U), np.ones(len(TIME), bool)

@@ -1,6 +1,7 @@
 """Events: contacts that the torque of a whole recording shows, as one where nothing lets go."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -69,6 +70,14 @@ def test_what_no_sample_so_far_shows_may_be_sure_before_it_starts():
     assert event.found == UNSEEN
     assert event.start[0] == pytest.approx(53.5, abs=1)
     assert event.end[0] == pytest.approx(103.5, abs=1)
+
+
+def test_the_rows_of_an_event_are_those_between_its_start_and_its_end():
+    """A row more, whose torque is that of before, makes means of short contacts too small."""
+    (own,) = shown(np.repeat([0.0, 20e-3, 0.0], [50, 45, 100]), [Contact(250, 252, 474)])
+    assert own.start[0] == pytest.approx(49.5)
+    assert own.rows == slice(50, 95)
+    assert replace(own, start=(50.2, 0.1), end=(50.8, 0.1)).rows == slice(50, 51)
 
 
 def test_what_may_be_nothing_for_long_is_touched_by_nobody():
@@ -173,6 +182,15 @@ def test_a_time_is_known_as_far_as_the_interval_holds_half_of_the_torque():
         assert u == pytest.approx(
             math.hypot((farthest - place) / COVERAGE_FACTOR, LEAST_U / ROW), rel=0.02
         )
+
+
+def test_a_force_that_is_found_early_starts_where_it_passes_half_of_what_it_grows_to():
+    """A strong force that takes 0.2 s shows long before: the time at which it does is no start."""
+    rows, found = np.interp(np.arange(300), [100, 140, 250], [0.0, 50e-3, 50e-3]), 103
+    (own,) = shown(rows, [Contact(found * EVERY, found * EVERY, 1200)])
+    behind = found + round(JUMP_WINDOW / ROW)
+    assert own.start[0] == pytest.approx((100 + behind) / 2, abs=0.1)
+    assert own.found == found * EVERY
 
 
 def test_intervals_of_start_and_end_hold_the_times_of_weak_pulses():

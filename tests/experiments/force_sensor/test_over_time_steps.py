@@ -167,7 +167,7 @@ def test_notes_state_what_was_learned_and_what_has_no_value():
     assert "up to 45.6 mN m, from 0.1 to 2.9 rad of the motor, up to 12 rad/s" in notes[0]
     assert "after a reversal 1.30 and 3.0 %" in notes[1]
     assert "creeping 1.50 and 5.0 %" in notes[1]
-    assert "no value in 25.0 % of the time" in notes[2]
+    assert "no value in 25 % of the time" in notes[2]
     assert "current at its limit" in notes[2]
     assert "1.75 s have no value" in notes[3]
     assert "(gaps between samples: 3)" in notes[3]
