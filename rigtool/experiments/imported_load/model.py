@@ -73,7 +73,8 @@ class TorqueEstimate:
     torque is the middle of a dead band and u that of a rectangular distribution (GUM 4.3.7).
     Outside what was learned, and where nothing bounds the torque, both are NaN. `compared` shows
     the mounting: without unit, it has opening strokes besides that may be of heavier loads, and all
-    at learned speeds where one direction has no value.
+    at learned speeds where one direction has no value; efforts there that no learned load explains
+    count as the nearest load that was looked at.
     `noisier` is what noise of the effort that was not learned multiplies u by.
     """
 
@@ -242,7 +243,7 @@ class LoadModel:
         standard uncertainty beside what was learned, without unit."""
         doubt = np.broadcast_to(doubt, effort.shape)
         speed, unit = path.speed / self.scales.speed, self.scales.torque
-        torque, u, share, doubted = (np.full(len(speed), np.nan) for _ in range(4))
+        torque, nearest, u, share, doubted = (np.full(len(speed), np.nan) for _ in range(5))
         elsewhere, change = self.elsewhere(path), self.paces.change(pace_of(path))
         lightest, heaviest = self.paces.between(pace_of(path))
         for sign, side in zip(SIDE_SIGNS, self.sides, strict=True):
@@ -250,7 +251,7 @@ class LoadModel:
             design = side.design(motion_functions(path, self.scales, sign))
             found, known = design.solve(side.weights, effort / self.effort_scale, self.torque_range)
             spread, slope = side.spread(design, speed, found)
-            torque[mask] = np.where(known, found, np.nan)[mask]
+            torque[mask], nearest[mask] = np.where(known, found, np.nan)[mask], found[mask]
             spread *= side.elsewhere if elsewhere else 1.0
             spread *= side.at_other_speeds(change)
             wider = np.hypot(spread, doubt / slope)
@@ -269,8 +270,11 @@ class LoadModel:
         known = of_known_strokes(known, moving, way)
         # A heavier load shows in the strokes against it
         most &= against | beside_known_strokes(known, moving & against, way)
-        both = (known & against).any() and (known & ~against).any()
-        compared = np.where(known if both else usual, torque, np.nan)
+        ways = (known & against).any(), (known & ~against).any()
+        compared = np.where(known if all(ways) else usual, torque, np.nan)
+        if any(ways) and not all(ways):  # the other way is off by as much at least
+            other = usual & (against != ways[0])
+            compared[other] = nearest[other]
         known &= most
         states = np.where(against, State.AGAINST, State.WITH)
         states[hidden] = np.where(still, State.STILL, State.REVERSED)[hidden]
