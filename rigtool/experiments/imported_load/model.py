@@ -72,9 +72,8 @@ class TorqueEstimate:
     Near standstill, and so soon after a reversal that effort hardly depends on the load yet, the
     torque is the middle of a dead band and u that of a rectangular distribution (GUM 4.3.7).
     Outside what was learned, and where nothing bounds the torque, both are NaN. `compared` shows
-    the mounting: without unit, it has opening strokes besides that may be of heavier loads, and all
-    at learned speeds where one direction has no value; efforts there that no learned load explains
-    count as the nearest load that was looked at.
+    the mounting: without unit, all that moves at learned places and speeds. An effort that no load
+    of the range explains counts as the nearest one: strokes disagree by as much at least.
     `noisier` is what noise of the effort that was not learned multiplies u by.
     """
 
@@ -270,11 +269,7 @@ class LoadModel:
         known = of_known_strokes(known, moving, way)
         # A heavier load shows in the strokes against it
         most &= against | beside_known_strokes(known, moving & against, way)
-        ways = (known & against).any(), (known & ~against).any()
-        compared = np.where(known if all(ways) else usual, torque, np.nan)
-        if any(ways) and not all(ways):  # the other way is off by as much at least
-            other = usual & (against != ways[0])
-            compared[other] = nearest[other]
+        compared = np.where(usual, nearest, np.nan)
         known &= most
         states = np.where(against, State.AGAINST, State.WITH)
         states[hidden] = np.where(still, State.STILL, State.REVERSED)[hidden]
