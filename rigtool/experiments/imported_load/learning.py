@@ -244,7 +244,8 @@ def _fit(rows: Rows, prior: Side | None, folds: Numbers, levels: int, pace: Numb
     level, paces = folds[rows.recording], pace[rows.recording]
     if len(np.unique(level)) < 2:
         raise InsufficientDataError(
-            "only one load moves in one of the directions: record all loads to and fro"
+            "only one load moves in one of the directions: record all loads to and fro, and see to "
+            "it that position and time have one unit in all recordings"
         )
     ways = [rows.recording % MAX_FOLDS]
     if levels > 2:
