@@ -162,9 +162,9 @@ def _of_this_mounting(
             raise InsufficientDataError(
                 f"strokes to and fro disagree {found:.1f} times as much{whose} as in the runs that "
                 f"{tables.path} was learned from, {most:.1f} times at most is by chance: these "
-                "runs are of another instrument or mounting, or of loads or speeds unlike the "
-                "learned ones: learn tables from runs of this mounting, under three loads or more "
-                "(two with --prior, where there is no third)"
+                "runs are of another instrument or mounting, or of loads, speeds, signs or units "
+                "unlike the learned ones: learn tables from runs of this mounting, under three "
+                "loads or more (two with --prior, where there is no third)"
             )
     factors = np.where(np.nan_to_num(misfits) > loop.limit(DOUBTED), misfits, 1.0)
     if (usual := float(np.median(misfits[known]))) > doubted[0]:

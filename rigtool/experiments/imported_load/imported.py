@@ -23,11 +23,13 @@ from rigtool.experiments.imported_load.learning import (
     learn_load_model,
 )
 from rigtool.experiments.imported_load.model import LoadModel
+from rigtool.experiments.imported_load.odd_recording import limit
 from rigtool.experiments.imported_load.stored import load_model_from, model_tables
 from rigtool.experiments.outcome import Outcome
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.recipe.commands import MeasureForce
-from rigtool.runfile import Column, Run, Table, dof_column
+from rigtool.runfile import Column, Recording, Run, Table, dof_column
 
 
 def analyse_imported(
@@ -55,6 +57,7 @@ def analyse_imported(
     known = None if prior is None else _prior(prior, unit, bandwidth_hz)
     turn = 0.0 if is_linear(recordings[0]) else 2 * math.pi
     learned = learn_load_model(signals, turn=turn, prior=known)
+    _require_alike(learned.odd, recordings)
     _require_shown(learned.validation)
     tables = {
         **model_tables(learned.model, unit),
@@ -74,6 +77,17 @@ def _prior(prior: Run, unit: str, bandwidth_hz: float) -> LoadModel:
             "measure_force.lowpass_hz as there"
         )
     return model
+
+
+def _require_alike(odd: Array, recordings: Sequence[Recording]) -> None:
+    """Raise `InsufficientDataError` where one of the recordings is odd by ratios (r,)."""
+    worst, most = int(np.argmax(odd)), limit(len(odd))
+    if odd[worst] > most:
+        raise InsufficientDataError(
+            f"{place(recordings[worst])}: is off {odd[worst]:.3g} times as far as the other "
+            f"recordings, {most:.3g} times at most is by chance: correct its {REFERENCE_CHANNEL}, "
+            "or a sign or a unit, which may differ from those of the others, or learn without it"
+        )
 
 
 def _require_shown(left_out: Validation) -> None:

@@ -32,6 +32,7 @@ from rigtool.experiments.imported_load.model import (
     stroke_of,
 )
 from rigtool.experiments.imported_load.noise import learned_noise
+from rigtool.experiments.imported_load.odd_recording import ratios
 from rigtool.experiments.imported_load.region import (
     MARGIN,
     NARROW,
@@ -102,13 +103,14 @@ class LoadFriction:
 
 @dataclass(frozen=True, eq=False)
 class LearnedEffort:
-    """A model from recordings at so many `paces`, how well it held at levels left out, and
-    friction that grows with load."""
+    """A model from recordings at so many `paces`, how well it held at levels left out, friction
+    that grows with load, and how `odd` each recording (r,) is, see `odd_recording`."""
 
     model: LoadModel
     paces: int
     validation: Validation
     friction: LoadFriction
+    odd: Array
 
 
 def level_numbers(values: Sequence[float], apart: float = MIN_LEVEL_DISTANCE) -> list[int]:
@@ -156,11 +158,10 @@ def learn_load_model(
         effort_scale = prior.effort_scale
     rows = [replace(one, effort=one.effort / effort_scale) for one in rows]
     priors = (None, None) if prior is None else prior.sides
+    fits = [_fit(*both, folds, levels, pace) for both in zip(rows, priors, strict=True)]
     found = [
-        _fit(own, folds, levels, pace, before).model(
-            _inner(stroke[own.recording]), _ends(pace[own.recording])
-        )
-        for own, before in zip(rows, priors, strict=True)
+        fit.model(_inner(stroke[own.recording]), _ends(pace[own.recording]))
+        for fit, own in zip(fits, rows, strict=True)
     ]
     sides, held = [side for side, _ in found], [out for _, out in found]
     torque, speed, place, recording = _both(rows, "torque", "speed", "place", "recording")
@@ -202,7 +203,8 @@ def learn_load_model(
     friction = _friction(place, against, scales, slope, each)
     torque, error, u = (scales.torque * values[resolved] for values in (torque, error, u))
     validation = Validation(torque, error, u, level[recording][resolved], against[resolved])
-    return LearnedEffort(model, int(pace.max()) + 1, validation, friction)
+    odd = np.max([ratios(fit.sums, len(signals)) for fit in fits], axis=0)
+    return LearnedEffort(model, int(pace.max()) + 1, validation, friction, odd)
 
 
 def _bend(sides: Sequence[Side]) -> float:
@@ -237,12 +239,13 @@ def resisted_direction(rows: Sequence[Rows], slope: float) -> int:
     return opposite * int(np.sign(slope * (along + back))) or 1
 
 
-def _fit(rows: Rows, folds: Numbers, levels: int, pace: Numbers, prior: Side | None) -> Fit:
+def _fit(rows: Rows, prior: Side | None, folds: Numbers, levels: int, pace: Numbers) -> Fit:
     """Fit one direction; `folds` and `pace` are numbers of load and speed of each recording."""
     level, paces = folds[rows.recording], pace[rows.recording]
     if len(np.unique(level)) < 2:
         raise InsufficientDataError(
-            "only one load moves in one of the directions: record all loads to and fro"
+            "only one load moves in one of the directions: record all loads to and fro, and see to "
+            "it that position and time have one unit in all recordings"
         )
     ways = [rows.recording % MAX_FOLDS]
     if levels > 2:

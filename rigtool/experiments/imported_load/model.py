@@ -72,8 +72,8 @@ class TorqueEstimate:
     Near standstill, and so soon after a reversal that effort hardly depends on the load yet, the
     torque is the middle of a dead band and u that of a rectangular distribution (GUM 4.3.7).
     Outside what was learned, and where nothing bounds the torque, both are NaN. `compared` shows
-    the mounting: without unit, it has opening strokes besides that may be of heavier loads, and all
-    at learned speeds where one direction has no value.
+    the mounting: without unit, all that moves at learned places and speeds. An effort that no load
+    of the range explains counts as the nearest one: strokes disagree by as much at least.
     `noisier` is what noise of the effort that was not learned multiplies u by.
     """
 
@@ -242,7 +242,7 @@ class LoadModel:
         standard uncertainty beside what was learned, without unit."""
         doubt = np.broadcast_to(doubt, effort.shape)
         speed, unit = path.speed / self.scales.speed, self.scales.torque
-        torque, u, share, doubted = (np.full(len(speed), np.nan) for _ in range(4))
+        torque, nearest, u, share, doubted = (np.full(len(speed), np.nan) for _ in range(5))
         elsewhere, change = self.elsewhere(path), self.paces.change(pace_of(path))
         lightest, heaviest = self.paces.between(pace_of(path))
         for sign, side in zip(SIDE_SIGNS, self.sides, strict=True):
@@ -250,7 +250,7 @@ class LoadModel:
             design = side.design(motion_functions(path, self.scales, sign))
             found, known = design.solve(side.weights, effort / self.effort_scale, self.torque_range)
             spread, slope = side.spread(design, speed, found)
-            torque[mask] = np.where(known, found, np.nan)[mask]
+            torque[mask], nearest[mask] = np.where(known, found, np.nan)[mask], found[mask]
             spread *= side.elsewhere if elsewhere else 1.0
             spread *= side.at_other_speeds(change)
             wider = np.hypot(spread, doubt / slope)
@@ -269,8 +269,7 @@ class LoadModel:
         known = of_known_strokes(known, moving, way)
         # A heavier load shows in the strokes against it
         most &= against | beside_known_strokes(known, moving & against, way)
-        both = (known & against).any() and (known & ~against).any()
-        compared = np.where(known if both else usual, torque, np.nan)
+        compared = np.where(usual, nearest, np.nan)
         known &= most
         states = np.where(against, State.AGAINST, State.WITH)
         states[hidden] = np.where(still, State.STILL, State.REVERSED)[hidden]

@@ -280,12 +280,13 @@ class Fit:
 class Sums:
     """Weighted sums over the rows of each recording: all that leaving out recordings needs.
 
-    `normal` (r, k, k), `right` (r, k) less what the `centre` (k,) of the penalty (k, k) explains,
-    `rows` (r,) the sum of weights.
+    `normal` (r, k, k), `right` (r, k) and `square` (r,) of the effort less what the `centre` (k,)
+    of the penalty (k, k) explains, `rows` (r,) the sum of weights.
     """
 
     normal: Array
     right: Array
+    square: Array
     rows: Array
     penalty: Array
     centre: Array
@@ -300,15 +301,17 @@ class Sums:
         centre: Array,
     ) -> Sums:
         """Gather them; recordings are numbered from zero."""
-        normal, right, rows = [], [], []
+        normal, right, square, rows = [], [], [], []
         beside = effort - columns @ centre
         for number in range(int(recording.max()) + 1):
             mask = recording == number
             scaled = columns[mask] * weight[mask, None]
             normal.append(scaled.T @ columns[mask])
             right.append(scaled.T @ beside[mask])
+            square.append(float(weight[mask] @ beside[mask] ** 2))
             rows.append(float(np.sum(weight[mask])))
-        return Sums(np.stack(normal), np.stack(right), np.array(rows), penalty, centre)
+        sums = np.stack(normal), np.stack(right), np.array(square), np.array(rows)
+        return Sums(*sums, penalty, centre)
 
     @property
     def all(self) -> Numbers:

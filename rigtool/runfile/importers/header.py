@@ -37,6 +37,10 @@ _KEY = re.compile(r"\s*(?:- )?(\w+):(?: [^:]*)?")
 MOST_KEYS = 0.5
 """Part of lines that hold one name each from which on a sample takes several."""
 
+_DIGITS, _GROUP, _PADDED = map(re.compile, (r"\d+", r"\d{3}([.,]\d+)?", r"0\d+"))
+SHOWN_ROWS = 1000
+"""Lines over the whole text of which the fields show whether a delimiter divides numbers."""
+
 MAX_CONTROL_PART = 0.05
 """Part of control characters from which on a file is no text."""
 
@@ -123,6 +127,35 @@ def split_lines(text: str, comment: str | None) -> Lines:
     # A file that ends within a comment lacks no number.
     whole = whole or not numbered or numbered[-1][1] < len(everything)
     return Lines([line for line, _ in numbered], [number for _, number in numbered], whole)
+
+
+def require_undivided(path: Path, head: str, data: Lines, marks: Marks) -> None:
+    """Raise `RunFileError` where the delimiter divides numbers, too: decimals, or thousands.
+
+    Then fewer columns have a name in the line `head` before the numbers, or digits behind a comma
+    begin with a zero, or follow a lone -0: no program writes whole numbers so.
+    """
+    if marks.delimiter not in (",", WHITESPACE):
+        return
+    shown = data.text[:: 1 + len(data.text) // SHOWN_ROWS]
+    columns = list(zip(*(fields_of(line, marks.delimiter) for line in shown), strict=False))
+    marked = any(mark in line for line in shown for mark in {".", ","} - {marks.delimiter})
+    part = _GROUP if marked else _DIGITS  # a decimal mark of its own leaves thousands
+    digits = [n > 0 and all(map(part.fullmatch, own)) for n, own in enumerate(columns)]
+    names = len(split_fields(head, marks.delimiter))
+    parts = names > 1 and 0 < len(columns) - names <= sum(digits)
+    if not parts and marks.delimiter == "," and not marked:
+        zeros = [any(map(_PADDED.fullmatch, own)) for own in columns]
+        minus = [False, *("-0" in own for own in columns[:-1])]
+        begun = [a and (b or c) for a, b, c in zip(digits, zeros, minus, strict=True)]
+        parts = any(begun) and not zeros[0]
+    if parts:
+        raise RunFileError(
+            f"{path}: the delimiter {marks.delimiter!r} seems to divide numbers as well, as decimal"
+            f" mark or in thousands: line {data.number[0]} has {len(columns)} fields, "
+            f"{shown[0][:60]!r}: write the file with another delimiter, with decimal points, or "
+            'with quotes; where each field is a number, state decimal = "." in [file]'
+        )
 
 
 def header_of(

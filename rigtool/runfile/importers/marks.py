@@ -15,11 +15,11 @@ from rigtool.recipe.mapping import FileLayout
 WHITESPACE = "whitespace"
 
 MARKS = tuple(
-    (delimiter, decimal) for delimiter in (",", ";", "\t", WHITESPACE) for decimal in ".,"
+    (delimiter, decimal) for delimiter in (",", ";", "\t", "|", WHITESPACE) for decimal in ".,"
 )
 """Delimiters and decimal marks that the lines of a text may show, the usual ones first."""
 
-SURE = (";", "\t")
+SURE = (";", "\t", "|")
 """What is a delimiter wherever each line has as many: numbers and texts seldom hold it."""
 
 LOOKED_AT = 50

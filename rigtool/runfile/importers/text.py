@@ -27,6 +27,7 @@ from rigtool.runfile.importers.header import (
     decoded_text,
     header_of,
     require_lines_of_samples,
+    require_undivided,
     split_lines,
 )
 from rigtool.runfile.importers.labels import labelled
@@ -103,6 +104,8 @@ def read_text(
     if layout.header_lines is None and head != bool(names):
         notes.append(f"as the lines show, header_lines = {head}: state it in [file]")
     data = lines.after(head)
+    if not names and layout.decimal is None and data.text:
+        require_undivided(path, lines.text[head - 1] if head else "", data, marks)
     if layout.sampling_rate_hz is None:
         data = data.without(set(lines.text[:head]))
     return read(data, asked, names), notes

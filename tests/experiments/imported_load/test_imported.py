@@ -85,7 +85,7 @@ def test_an_effort_that_does_not_show_the_load_is_refused(monkeypatch, against, 
     )
     monkeypatch.setattr(imported, "recordings_of", lambda runs: [recording])
     monkeypatch.setattr(imported, "read_all", lambda runs, kt, bandwidth_hz: signals)
-    shown = SimpleNamespace(validation=left_out)
+    shown = SimpleNamespace(validation=left_out, odd=np.zeros(3))
     monkeypatch.setattr(imported, "learn_load_model", lambda signals, *, turn, prior: shown)
     if refused:
         with pytest.raises(

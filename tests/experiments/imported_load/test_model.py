@@ -349,6 +349,19 @@ def test_tables_of_another_mounting_are_found_out(learned):
         assert misfit(tilted) > loop.limit(REFUSED)
 
 
+@pytest.mark.parametrize("load", [0.05, 0.07])
+def test_strokes_without_a_value_beside_strokes_with_one_disagree(learned, load):
+    """With the sign of the position turned, fro is read as to, and no load explains the other."""
+    time, position, effort, torque = record(load, 0.2, seed=22)
+    found = signals(time, -position, effort, torque)
+    estimate = learned.model.read(found)
+    rising = found.path.speed > 0
+    assert (estimate.inside & rising).any() != (estimate.inside & ~rising).any()
+    loop, place = learned.model.loop, learned.model.place(found.path)
+    offset, *_ = loop.parts(place, rising, estimate.compared)
+    assert abs(offset) > 3 * loop.limit(REFUSED)
+
+
 def test_runs_that_all_disagree_in_one_sense_are_of_another_mounting(learned):
     """Each and their median could be of those learned: their mean is known better."""
     model, items = learned.model, observations(loads=(0.03, 0.05, 0.07), drift=0.0, seed=17)

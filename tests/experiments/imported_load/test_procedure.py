@@ -199,6 +199,16 @@ def test_learning_needs_a_sensor(tmp_path):
     assert not (tmp_path / "t.h5").exists()
 
 
+def test_a_recording_unlike_all_others_is_named(tmp_path):
+    runs = instrument(tmp_path / "a", (0.02, 0.04, 0.06))
+    odd = instrument(tmp_path / "b", (0.05,), drift=0.5)[:1]
+    found = rigtool("ilc-learn", *runs, *odd, "--implementation", "D", "-o", tmp_path / "t.h5")
+    assert found.exit_code == 4
+    assert f"{odd[0]}: is off" in found.stderr
+    assert "or learn without it" in found.stderr
+    assert not (tmp_path / "t.h5").exists()
+
+
 def test_learning_needs_two_loads(tmp_path):
     runs = instrument(tmp_path, (0.04,))
     found = rigtool("ilc-learn", *runs, "--implementation", "D", "-o", tmp_path / "t.h5")

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from rigtool.experiments.imported_load.basis import SPLINE_COUNT, splines
 from rigtool.experiments.imported_load.side import (
     COVERAGE_FACTOR,
     INTERVAL_COVERAGE,
     Fit,
+    Rows,
     Sums,
 )
 
@@ -71,3 +73,28 @@ def test_a_level_asks_for_the_interval_that_holds_the_rows_left_out():
     _, factors = Fit._factors(made, [by_load, by_turn])
     expected = np.array([1.0, 1.0, 2.0, 3.0, 4.0, 4.0]) * wider * quantile
     np.testing.assert_allclose(factors, expected, rtol=0.02)
+
+
+@pytest.mark.parametrize(("apart", "bent"), [(0.2, 0.0), (0.0, 0.2)])
+def test_the_middle_of_three_loads_counts_as_it_was_left_out_where_less_was_left(apart, bent):
+    """By its neighbours where runs of it differ by `apart`, by its other run where effort bends."""
+    random = np.random.default_rng(3)
+    recording, level = np.repeat(np.arange(6), 200), np.repeat([0, 0, 1, 1, 2, 2], 200)
+    torque, place = 0.5 * level, np.tile(np.linspace(0, 1, 200), 6)
+    effort = torque + np.array([0, 0, -apart, apart, 0, 0])[recording] / 2 + bent * (level == 1)
+    rows = Rows(
+        functions={name: splines(place, SPLINE_COUNT[name]) for name in ("offset", "load")},
+        effort=effort + random.normal(0, 0.01, effort.size),
+        torque=torque,
+        speed=np.ones(effort.size),
+        place=place,
+        recording=recording,
+    )
+    turns = np.array([0, 1, 1, 0, 0, 1])[recording]
+    never = np.full(effort.size, -1)
+    _, held = Fit.of(rows, ("offset", "load"), level, [level, turns], None).model(never, never)
+    middle = level == 1
+    assert not np.allclose(held.within[~middle], held.error[~middle], atol=1e-3)
+    as_left_out = np.allclose(held.within[middle], held.error[middle])
+    assert as_left_out == (bent == 0)
+    assert np.sum(held.within[middle] ** 2) <= np.sum(held.error[middle] ** 2)

@@ -144,6 +144,46 @@ def test_decimal_commas_between_commas_are_named(tmp_path):
         take(source, tmp_path / "a.h5", text)
 
 
+COUNTED = ["ms,angle,mA", *(f"{k},{k * 7},1,{k % 10}" for k in range(40))]
+DIVIDED = {
+    "fewer names": COUNTED,
+    "names and units": [COUNTED[0], "ms,rad,mA", *COUNTED[1:]],
+    "zeros": [f"{k},{k * 7},0,{k:02d}" for k in range(40)],
+    "minus": [f"{k},{k * 7},-0,{k % 10}" for k in range(40)],
+    "thousands": ["t i m", *(f"{k} {k * 7} {k + 1} {200 + k},5" for k in range(40))],
+}
+
+
+@pytest.mark.parametrize("rows", DIVIDED.values(), ids=DIVIDED)
+def test_numbers_that_the_delimiter_divides_are_refused(tmp_path, rows):
+    """Columns by number are there in any case: digits behind a decimal comma look like a column."""
+    source = write(tmp_path / "a.csv", rows)
+    with pytest.raises(RunFileError, match="seems to divide numbers as well") as caught:
+        take(source, tmp_path / "a.h5")
+    assert 'state decimal = "."' in str(caught.value)
+    assert not (tmp_path / "a.h5").exists()
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        ["written by hand, on a day", *(f"{k},{k * 7},0.5,0{k % 10}" for k in range(40))],
+        [f"{k:02d},{k * 7},1,{k:02d}" for k in range(40)],
+        ["title,of,it", *(f"{k},{k * 7},1.5,-{k % 10}" for k in range(40))],
+    ],
+    ids=["points", "padded", "signs"],
+)
+def test_columns_without_a_name_stay_columns(tmp_path, rows):
+    take(write(tmp_path / "a.csv", rows), tmp_path / "a.h5")
+    np.testing.assert_array_equal(read(tmp_path / "a.h5", "encoder"), 7.0 * np.arange(40))
+
+
+def test_a_stated_decimal_mark_says_that_each_field_is_a_number(tmp_path):
+    text = TEXT.replace("[file]", '[file]\ndecimal = "."')
+    take(write(tmp_path / "a.csv", COUNTED), tmp_path / "a.h5", text)
+    np.testing.assert_array_equal(read(tmp_path / "a.h5", "encoder"), 7.0 * np.arange(40))
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_bad_line_is_named_and_nothing_is_written(tmp_path, kind):
     rows, end, number, message = damaged(kind)
@@ -247,7 +287,7 @@ def test_no_damage_goes_in_unseen(tmp_path_factory, data):
 
 @pytest.mark.parametrize(
     ("delimiter", "decimal"),
-    [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), ("   ", ".")],
+    [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), ("|", ","), ("   ", ".")],
 )
 def test_marks_that_the_mapping_leaves_to_the_lines(tmp_path, delimiter, decimal):
     rows = [row.replace(".", decimal) for row in (line.replace(",", ";") for line in lines())]
