@@ -1368,7 +1368,8 @@ static inline void rs_row(struct rigtool_sensor *s, const rs_real seen[RS_WAVES]
         s->row[RS_WAVE + 2 * j] += grown * seen[2 * j];
         s->row[RS_WAVE + 2 * j + 1] += grown * seen[2 * j + 1];
     }
-    s->row_slid += s->x[RS_HOUSING] * direction >= m->sliding;
+    s->row_slid += s->x[RS_HOUSING] * direction >= m->sliding
+        && RS_MATH(fabs)(s->x[RS_SPEED]) >= m->slow;
     if (++s->row_steps < s->row_length)
         return;
     rs_pass_time(s, s->row_slid == s->row_length);

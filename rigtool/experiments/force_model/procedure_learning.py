@@ -34,7 +34,13 @@ from rigtool.experiments.force_model.learning import SlidingFit, learn_sliding
 from rigtool.experiments.force_model.model import Known
 from rigtool.experiments.force_model.model import RecordState as Swing
 from rigtool.experiments.force_model.procedure_exploration import exploration
-from rigtool.experiments.force_model.records import LoadCase, Record, repeated, single
+from rigtool.experiments.force_model.records import (
+    LoadCase,
+    Record,
+    repeated,
+    single,
+    slowest_taught,
+)
 from rigtool.experiments.force_model.rest import (
     FILTER_SETTLING_TIME,
     Exploration,
@@ -143,8 +149,8 @@ def learn_force(
         turns = [_signals(r, recipe) for r in moves if r.condition("speed") >= least]
         found = learn_turns(found, [_motion(turn, under) for turn in turns], uncertainty)
     model = ForceModel(found, deviating)
-    slowest = min(r.condition("speed") for r in strokes)
-    creeping = CREEP_SPEED_RATIO * slowest
+    speeds = [r.condition("speed") for r in strokes]
+    creeping = CREEP_SPEED_RATIO * slowest_taught(speeds, own.count)
     if checks:
         errors = [_errors(r, recipe, kt, model, creeping) for r in checks]
         fitted = [_errors(r, recipe, kt, model, creeping) for r in _compared(strokes)]

@@ -206,7 +206,7 @@ class Sensor:
         self._stepper = Stepper(grid.step_samples)
         self._filter = instrument.filter(model.uncertainty)
         self.power_up = (
-            PowerUp(model, grid.step_time, instrument.corner_hz)
+            PowerUp(model, grid.step_time, instrument.corner_hz, instrument.reach.slow)
             if before is None
             else before.behind_gap()
         )
