@@ -143,9 +143,9 @@ struct rs_model {
     int32_t lowest, highest; /* counts */
     /* the reading: low-pass q' = A q + B M, y = C q + D M, and u^2 = (c s)^2 + (g y)^2 of its
      * deviation s, by state, and while the rotor creeps, c^2 at least `shown_variance` where y
-     * shows; the ripple's variance is added */
+     * shows; the ripple's variance is added, and at rest one by the asymmetry of friction */
     rs_real low_pass[RS_ORDER + 1][RS_ORDER + 1], settled[RS_ORDER], scales[RS_KINDS][2], coverage;
-    rs_real shown_variance;
+    rs_real shown_variance, rest_variance;
     /* what friction leaves open without a current, and where the rotor crawls besides; within a
      * count, where the rotor of a driven motor has been in it for long, or the torque swings */
     rs_real no_current, open_variances[2][RS_KINDS], held_variance;
@@ -1368,7 +1368,8 @@ static inline void rs_row(struct rigtool_sensor *s, const rs_real seen[RS_WAVES]
         s->row[RS_WAVE + 2 * j] += grown * seen[2 * j];
         s->row[RS_WAVE + 2 * j + 1] += grown * seen[2 * j + 1];
     }
-    s->row_slid += s->x[RS_HOUSING] * direction >= m->sliding;
+    s->row_slid += s->x[RS_HOUSING] * direction >= m->sliding
+        && RS_MATH(fabs)(s->x[RS_SPEED]) >= m->slow;
     if (++s->row_steps < s->row_length)
         return;
     rs_pass_time(s, s->row_slid == s->row_length);
@@ -1608,6 +1609,8 @@ static inline int rs_read(struct rigtool_sensor *s)
     now->torque = torque;
     swing = rs_swing(s, torque, now->state);
     other += rs_model.swing_taken * swing;
+    if (now->state == RIGTOOL_SENSOR_STILL)
+        other += rs_model.rest_variance;
     i = now->state <= RIGTOOL_SENSOR_WITH && s->creeps ? RS_CREEPING : (int)now->state;
     scales = rs_model.scales[i];
     shown = rs_square(torque / rs_model.coverage);

@@ -6,6 +6,7 @@ Equations: `model`, those of the filter `plant`; load_stroke = L / load friction
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.drive import MotorMap, drive_of, plant_of
 from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind
+from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
 from rigtool.numerics.arrays import Array
 
 
@@ -51,6 +53,20 @@ class ForceModel:
         )
         relative = own.load / per_load if per_load > 0 else 0.0
         return Uncertainty(own.stroke, relative, own.noise, own.noise_time)
+
+    @cached_property
+    def rest_variance(self) -> float:
+        """Variance of the torque at rest, N2 m2 on the output, by the asymmetry A of friction F.
+
+        Friction F z (1 + A z) of a bristle z has the constant part F A while the rotor slides, and
+        about none at rest. Sliding shows that part together with a constant torque alone, so that
+        rests are off by what is not known of it: n F u(A), n the torque factor, and
+        u(A) = (1 - A^2) u(ln ratio) / 2 by the ratio of both directions.
+        """
+        plant, place = self.plant(1.0), SLIDING_PARAMETERS.index("direction_ratio")
+        friction = plant.coulomb + plant.housing_friction
+        variance = float(self.learned.covariance[place, place])
+        return (plant.torque_factor * friction * (1 - plant.asymmetry**2) / 2) ** 2 * variance
 
     @property
     def untouched(self) -> Uncertainty:

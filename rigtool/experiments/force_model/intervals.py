@@ -2,7 +2,9 @@
 
     u^2 = (c s)^2 + (g M)^2 + r^2,   s the filter's deviation, M the torque on the output
 
-r is the deviation of another power-up's ripple: no error under known loads has a part of it.
+r is the deviation of another power-up's ripple, of which no error under known loads has a part,
+and at rest of what is not known of friction's asymmetry (`ForceModel.rest_variance`). Errors of
+rests count by what the latter does not hold (`beyond`).
 c and g of each kind of motion (`Judged.kinds`) are those whose 95 % intervals, half as wide as
 h = 1.96 u, score well under known loads with errors e (T. Gneiting, A. E. Raftery, J. Am. Stat.
 Assoc. 102(477) 359-378, 2007, section 6.2), in units of s:
@@ -105,6 +107,13 @@ def uncertainty_of_kinds(
     shown = np.minimum(SHOWN_FACTOR * deviation, np.abs(torque) / COVERAGE_FACTOR)
     own = np.maximum(np.maximum(factor, opened) * deviation, shown)
     return np.sqrt(np.maximum(own**2, least) + (share * torque) ** 2 + variance)
+
+
+def beyond(error: Array, variance: Array) -> Array:
+    """Return the errors (2, m) N m that are left to c and g where u^2 has a `variance` (m,) N2 m2
+    besides: 95 % intervals hold them without it where they hold the whole errors with it."""
+    left: Array = np.sqrt(np.maximum(error**2 - COVERAGE_FACTOR**2 * variance, 0.0))
+    return left
 
 
 def scales(parts: Sequence[Errors], *, shown: bool = True) -> Array:

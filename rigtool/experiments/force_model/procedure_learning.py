@@ -11,7 +11,13 @@ import numpy as np
 from rigtool.experiments.controller_torque import LOOP_CHANNELS as LOOP_CHANNELS
 from rigtool.experiments.controller_torque import LoopSignals, loop_signals, naming
 from rigtool.experiments.force_filter.estimate import Filter
-from rigtool.experiments.force_filter.motion_states import CREEP_SPEED_RATIO, Judge, Moments, Reach
+from rigtool.experiments.force_filter.motion_states import (
+    CREEP_SPEED_RATIO,
+    Judge,
+    Moments,
+    Reach,
+    State,
+)
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED
 from rigtool.experiments.force_filter.smoothed import smoothed
 from rigtool.experiments.force_model.contacts import Trial, thresholds, trial
@@ -23,12 +29,18 @@ from rigtool.experiments.force_model.deviations import (
     unseen_deviations,
 )
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.intervals import TIME_APART, Errors, scales
+from rigtool.experiments.force_model.intervals import TIME_APART, Errors, beyond, scales
 from rigtool.experiments.force_model.learning import SlidingFit, learn_sliding
 from rigtool.experiments.force_model.model import Known
 from rigtool.experiments.force_model.model import RecordState as Swing
 from rigtool.experiments.force_model.procedure_exploration import exploration
-from rigtool.experiments.force_model.records import LoadCase, Record, repeated, single
+from rigtool.experiments.force_model.records import (
+    LoadCase,
+    Record,
+    repeated,
+    single,
+    slowest_taught,
+)
 from rigtool.experiments.force_model.rest import (
     FILTER_SETTLING_TIME,
     Exploration,
@@ -137,8 +149,8 @@ def learn_force(
         turns = [_signals(r, recipe) for r in moves if r.condition("speed") >= least]
         found = learn_turns(found, [_motion(turn, under) for turn in turns], uncertainty)
     model = ForceModel(found, deviating)
-    slowest = min(r.condition("speed") for r in strokes)
-    creeping = CREEP_SPEED_RATIO * slowest
+    speeds = [r.condition("speed") for r in strokes]
+    creeping = CREEP_SPEED_RATIO * slowest_taught(speeds, own.count)
     if checks:
         errors = [_errors(r, recipe, kt, model, creeping) for r in checks]
         fitted = [_errors(r, recipe, kt, model, creeping) for r in _compared(strokes)]
@@ -255,7 +267,7 @@ def _errors(
     margin, every = (round(time / grid.step_time) for time in (FILTER_SETTLING_TIME, TIME_APART))
     chosen = slice(margin, -margin, every)
     return Errors(
-        np.stack([later, at_once])[:, chosen],
+        beyond(np.stack([later, at_once]), model.rest_variance * (kinds == State.STILL))[:, chosen],
         np.stack([deviation, causal.deviation])[:, chosen],
         truth[chosen],
         kinds[chosen],

@@ -11,6 +11,7 @@ second order forward and backward,
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -62,6 +63,12 @@ FEWEST_CYCLES = 3
 
 END_TIME = 0.3
 """Time left out at both ends of a motion that does not repeat, s: wrapping fades there."""
+
+
+def slowest_taught(speeds: Sequence[float], count: float) -> float:
+    """Return the slowest of the `speeds` of strokes, rad/s, at which rows slide with counts of
+    `count` rad; where they slide at none, the slowest of all."""
+    return min([speed for speed in speeds if speed > SLIDING_COUNT_RATE * count] or speeds)
 
 
 @dataclass(frozen=True, eq=False)

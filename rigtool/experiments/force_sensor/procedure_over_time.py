@@ -16,6 +16,7 @@ import numpy as np
 from rigtool.errors import InsufficientDataError, RecipeError, RunFileError, UsageError
 from rigtool.experiments.force_filter.motion_states import CREEP_SPEED_RATIO, Reach, State
 from rigtool.experiments.force_model.force_model import ForceModel
+from rigtool.experiments.force_model.records import slowest_taught
 from rigtool.experiments.force_model.stored import model_from
 from rigtool.experiments.force_sensor.encoder_zero import EncoderZero, encoder_zero
 from rigtool.experiments.force_sensor.procedure_calibration import require_calibration, with_zero_of
@@ -237,10 +238,12 @@ def reach_of(tables: Run, kt: Run) -> Reach:
     assert learned is not None  # `require_rig`
     own, rig = learned.ilc_learn, learned.rig
     calibrated = None if kt.recipe is None else kt.recipe.calibrate_kt.temperatures_degc
+    turn = 2 * math.pi * rig.angle_ratio
+    slow = [turn * speed for speed in own.loads.speeds_rev_per_s]
     return Reach(
         (0.0, math.radians(learned.measure_force.angle) * rig.angle_ratio),
-        2 * math.pi * rig.angle_ratio * max(*own.speeds_rev_per_s, *own.loads.speeds_rev_per_s),
+        turn * max(*own.speeds_rev_per_s, *own.loads.speeds_rev_per_s),
         max(own.loads.forces) * rig.load_arm,
         (-math.inf, math.inf) if calibrated is None else (min(calibrated), max(calibrated)),
-        CREEP_SPEED_RATIO * 2 * math.pi * rig.angle_ratio * min(own.loads.speeds_rev_per_s),
+        CREEP_SPEED_RATIO * slowest_taught(slow, 2 * math.pi / rig.encoder_counts),
     )

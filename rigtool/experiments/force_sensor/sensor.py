@@ -103,6 +103,11 @@ class SensorProperties:
         hidden = np.where(held, np.minimum(swing, self.held_variance), 0.0)
         return np.maximum(np.maximum(self.open_variances[holding, kinds], lacking), hidden)
 
+    def added_variances(self, kinds: States, swing: Array) -> Array:
+        """Return the variance (m,) N2 m2 that is added to all else: by a `swing` (m,) N2 m2, and at
+        rest by the asymmetry of friction."""
+        return TAKEN_VARIANCE * swing + self.model.rest_variance * (kinds == State.STILL)
+
     def counts(self, lost: float = 0.0) -> Counts:
         """Return what puts leaping counts back, in samples of which `lost` are off already."""
         return Counts(self.count, self.reach.speed, self.interval, lost)
@@ -201,7 +206,7 @@ class Sensor:
         self._stepper = Stepper(grid.step_samples)
         self._filter = instrument.filter(model.uncertainty)
         self.power_up = (
-            PowerUp(model, grid.step_time, instrument.corner_hz)
+            PowerUp(model, grid.step_time, instrument.corner_hz, instrument.reach.slow)
             if before is None
             else before.behind_gap()
         )
@@ -243,7 +248,7 @@ class Sensor:
         unbent = self._creeping.add(estimate.low, moments.housing, states == State.STILL)
         swing = self._swinging.add(torque, states)
         least = self._instrument.least_variances(holding, kinds, unbent, swing, held)
-        wider = variance + TAKEN_VARIANCE * swing
+        wider = variance + self._instrument.added_variances(kinds, swing)
         scales = self._instrument.model.scales[1]
         deviation, opened = estimate.deviation, estimate.opened
         u = uncertainty_of_kinds(scales, deviation, torque, kinds, wider, opened, least)

@@ -22,7 +22,6 @@ from rigtool.experiments.force_filter.estimate import PIECE_STEPS, Filter
 from rigtool.experiments.force_filter.highest import highest
 from rigtool.experiments.force_filter.motion_states import LARGEST_LEARNED_RATIO, Moments, State
 from rigtool.experiments.force_filter.smoothed import ONSET_TIME, Smoother, without_delay
-from rigtool.experiments.force_filter.swinging import TAKEN_VARIANCE
 from rigtool.experiments.force_model.contacts import Contact, contacts, trial
 from rigtool.experiments.force_model.intervals import uncertainty_of_kinds
 from rigtool.experiments.force_sensor.commanded_inertia import CommandedTurns
@@ -346,7 +345,7 @@ class Stretch:
         variance = np.concatenate(variances) * grown + unfollowed
         swing, held = self._taken("swing"), self._taken("held")[::every]
         doubts = variance.copy()
-        variance += TAKEN_VARIANCE * swing
+        variance += instrument.added_variances(kinds, swing)
         holding, unbent = self._taken("holding")[::every], self._taken("unbent")
         least = instrument.least_variances(holding, kinds, unbent, swing, held)
         # at rest what comes later may have come at once: between both forms, a rectangle

@@ -71,6 +71,7 @@ class Model:
     drive: MotorMap = DRIVE
     scales: ClassVar = np.stack([SCALES, SCALES])
     learned: ClassVar = LEARNED
+    rest_variance: ClassVar = 1e-8
     uncertainty: Uncertainty = UNCERTAINTY
 
     def plant(self, sample_time: float) -> Plant:

@@ -20,9 +20,17 @@ from rigtool.experiments.force_model.records import (
     lowpassed_rows,
     repeated,
     single,
+    slowest_taught,
 )
 
 COUNT = 2 * np.pi / 20_000
+
+
+@pytest.mark.parametrize(
+    ("speeds", "slowest"), [([2.7, 1.1, 5.3], 2.7), ([2.7, 1.7], 1.7), ([1.5, 1.1], 1.1)]
+)
+def test_the_slowest_stroke_that_teaches_passes_160_counts_in_a_second(speeds, slowest):
+    assert slowest_taught(speeds, 1e-2) == slowest
 
 
 @pytest.mark.parametrize("record_every", [1, 4])

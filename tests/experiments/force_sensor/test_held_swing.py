@@ -7,7 +7,7 @@ import pytest
 
 from rigtool.experiments.deploy.force_sensor import sensor_header
 from rigtool.experiments.force_filter.motion_states import State
-from rigtool.experiments.force_sensor import sensor, stretch
+from rigtool.experiments.force_sensor import sensor
 from rigtool.experiments.force_sensor.stretch import Stretch
 from tests.experiments.deploy.sensors import INTERVAL, compiled, expected, instrument, moved
 from tests.experiments.force_sensor.test_rest_between_forms import Certain
@@ -59,8 +59,7 @@ def test_the_filter_may_take_a_part_of_a_swing_in_both_forms(monkeypatch):
     """5 % of its amplitude, a rectangle from 0 on; of 5 Hz a mean over 0.1 s leaves 0.91 of v."""
     swing = moved(STROKES, AMPLITUDE * np.sin(2 * np.pi * 5 * TIME))
     counted = [*both_forms(swing)]
-    for module in (stretch, sensor):
-        monkeypatch.setattr(module, "TAKEN_VARIANCE", 0.0)
+    monkeypatch.setattr(sensor, "TAKEN_VARIANCE", 0.0)
     for (time, _, u, _), (*_, without, _) in zip(counted, both_forms(swing), strict=True):
         more = (u**2 - without**2)[np.abs(time - 3.0) < 0.5]
         assert np.median(more) == pytest.approx(

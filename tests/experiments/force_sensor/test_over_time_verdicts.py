@@ -221,6 +221,9 @@ def test_the_reach_is_that_of_loads_strokes_and_calibration():
     assert found.torque == pytest.approx(2.5 * own.rig.load_arm)
     assert found.temperature_degc == (22, 35)
     assert found.slow == pytest.approx(0.1 * turn, rel=1e-3)
+    coarse = load_recipe(RECIPE, (*sets, "rig.encoder_counts=500"))[0]  # 0.2 rev/s teach nothing
+    slow = reach_of(SimpleNamespace(recipe=coarse), calibration()).slow
+    assert slow == pytest.approx(0.25 * turn, rel=1e-3)
     any_warmth = reach_of(SimpleNamespace(recipe=own), calibration())
     assert any_warmth.temperature_degc == (-math.inf, math.inf)
     faster = load_recipe(RECIPE, (*sets, "ilc_learn.loads.speeds_rev_per_s=[0.2, 2.5]"))[0]

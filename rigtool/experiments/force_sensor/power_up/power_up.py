@@ -97,13 +97,16 @@ OF_THE_FILTER = (
 
 class PowerUp:
     """Follows the ripple of a recording, until `behind_gap` without one; steps are added as they
-    come.
+    come. Rows of a rotor that moves slower than `slow` rad/s, and creeps, show none.
 
     `add` and `again` give what ripple adds to the torque on the output after each of m steps, its
     variance, N m and N2 m2, and what it takes off the drive torque, N m, not low-passed.
     """
 
-    def __init__(self, model: ForceModel, step_time: float, corner_hz: float) -> None:
+    def __init__(
+        self, model: ForceModel, step_time: float, corner_hz: float, slow: float = 0.0
+    ) -> None:
+        self._slow = slow
         learned, lag_time = learned_ripple(model), model.learned.shape.ripple_time
         size = model.uncertainty.stroke + model.uncertainty.friction_noise
         plant = model.plant(step_time)
@@ -198,8 +201,9 @@ class PowerUp:
         its `Estimate.gains`, `drive` (m, 2) the motor's torque N m and its current A; `taken` (m,)
         N m was taken off the filter's drive torque.
         """
-        way = np.sign(states[:, SPEED])
-        sliding = states[:, HOUSING] * way >= SLIDING_DEFLECTION
+        speed = states[:, SPEED]
+        sliding = states[:, HOUSING] * np.sign(speed) >= SLIDING_DEFLECTION
+        sliding &= np.abs(speed) >= self._slow
         moving = states[:, [GRASPER, SPEED, HOUSING]]
         follows = np.column_stack([gains, moving])
         driven = np.ascontiguousarray(np.column_stack([drive, taken]))

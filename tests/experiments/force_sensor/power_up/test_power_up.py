@@ -100,6 +100,19 @@ def test_ripple_of_another_power_up_is_found_under_contacts(another):
     assert np.mean(np.abs(whole - added) < 1.96 * np.sqrt(left)) > 0.95
 
 
+@pytest.mark.parametrize("slow", [0.2, 1.01])
+def test_a_rotor_that_creeps_shows_no_ripple(another, slow):
+    """The fastest turns by 1 rad/s, and slides from 0.3 rad/s on."""
+    plain, angle, states, _, found, _ = another
+    power_up = PowerUp(model(), STEP, BANDWIDTH, slow)
+    own, *_ = power_up.add(angle, states, *follows(states))
+    if slow < 0.3:
+        np.testing.assert_array_equal(own, found)
+    else:
+        none = PowerUp(model(), STEP, BANDWIDTH).probability
+        assert power_up.probability == pytest.approx(none, abs=1e-6) != plain.probability
+
+
 def test_rows_see_the_torque_as_if_nothing_had_been_taken_off(another):
     """Where the bearings hold the rotor, the filter's torque lacks within 12 ms what was taken."""
     plain, angle, states, _, found, variance = another
