@@ -10,6 +10,7 @@ from rigtool.runfile import RunWriter, open_run
 
 RECIPE = Path(__file__).parents[2] / "recipes" / "briaire-2006.toml"
 TORQUE_CONSTANT = 0.0454
+COULOMB, VISCOUS = 2.3e-3, 5.33e-5
 
 # What varies by itself is switched off: results follow from a few parameters.
 QUIET = (

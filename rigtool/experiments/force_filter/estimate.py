@@ -209,7 +209,7 @@ class Filter:
             np.zeros(count) if least is None else np.ascontiguousarray(least[:count]),
             found.states,
             found.outputs,
-            kept,
+            smoother.room(0, size) if kept is None else kept,
         )
         return found
 

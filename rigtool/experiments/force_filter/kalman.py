@@ -321,7 +321,7 @@ def run(
     least: Array,
     means: Array,
     outputs: Array,
-    steps: tuple[Array, ...] | None,
+    steps: tuple[Array, ...],
 ) -> None:
     """Filter m steps; `torque`, `viscous` (m, samples a step), `low` (m,) of the angle after each,
     `idle` (m,) whether the motor has had no current.
@@ -329,8 +329,8 @@ def run(
     `least` (m,) are the lowest levels of the torque's noise. `means` (m, 12) receive the states
     after each step, `outputs` (m, 9) the torque behind `low_pass` (3, 3), its deviation, the
     level of noise that the next step has by itself, and what a radian of the angle before the
-    update changes the states `FOLLOWED` by; `steps`, where it is not None, what
-    `smoother.room` makes room for.
+    update changes the states `FOLLOWED` by; `steps` what `smoother.room` makes room for, nothing
+    where that is no step: one machine code for both.
     """
     s, p, u = state[0], plant[0], uncertainty[0]
     samples = torque.shape[1]
@@ -346,6 +346,7 @@ def run(
     for i in range(passed.JOINT_STATES):
         for j in range(ROW_LENGTH):
             rows[at(i, j)] = s.covariance[i, j]
+    derivative, fresh, correction, weight, variance, gains, torque_row, passed_row = steps
     for k in range(torque.shape[0]):
         began = _predict(
             s,
@@ -371,8 +372,7 @@ def run(
         outputs[k, 2] = _level(s)
         for i in range(len(FOLLOWED)):
             outputs[k, FIRST_GAIN + i] = informed * gain[FOLLOWED[i]]
-        if steps is not None:
-            derivative, fresh, correction, weight, variance, gains, torque_row, passed_row = steps
+        if fresh.shape[0] > 0:
             for i in range(samples):
                 for j in range(FACTOR_COUNT):
                     derivative[k * samples + i, j] = factors[i, j]

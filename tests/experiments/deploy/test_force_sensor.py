@@ -47,8 +47,8 @@ def samples():
 def libraries(tmp_path_factory):
     folder = tmp_path_factory.mktemp("sensor")
     return {
-        "double": compiled(folder, header(), "-O2", name="double"),
-        "float": compiled(folder, header(), FLOAT, "-O2", "-Wdouble-promotion", name="float"),
+        "double": compiled(folder, header(), "-O1", name="double"),
+        "float": compiled(folder, header(), FLOAT, "-O1", "-Wdouble-promotion", name="float"),
     }
 
 

@@ -85,7 +85,7 @@ def step(mean, covariance, width, low, least=0.0, uncertainty=U, idle=False, beg
         np.array([least]),
         means,
         outputs,
-        None,
+        smoother.room(0, SAMPLES),
     )
     found = np.concatenate([state["mean"][0], state["passed"][0]])
     return found, state["covariance"][0, :, :JOINT], outputs[0]
@@ -301,7 +301,7 @@ def test_a_torque_that_has_changed_for_long_is_expected_to_change_for_long(busy,
     add a step to a time of whole steps, 0.6 s at most."""
     state = kalman.begin(PLANT, U, -5e5, 1e6, LOW_PASS)
     state["busy"], state["slow_left"], state["slow_sum"] = busy, left, 1.0
-    run(state, [-5e5], 1e6, None)
+    run(state, [-5e5], 1e6, smoother.room(0, SAMPLES))
     part = 1 + (busy - 1) * np.exp(-SPAN / 0.5) if left else busy * np.exp(-SPAN / 0.5)
     assert state["busy"][0] == pytest.approx(part, rel=1e-9)
     lasting = U.busy_time / (1 - min(part, 0.9))
@@ -331,7 +331,7 @@ def test_each_step_keeps_what_the_smoother_needs():
         ahead, far = state.copy(), smoother.room(1, SAMPLES)
         (x,) = run(ahead, [-5e5], 1e6, far)  # a count that shows nothing: the prediction alone
         p = ahead["covariance"][0, :, :JOINT]
-        (own,) = run(state, [low], width, None)
+        (own,) = run(state, [low], width, smoother.room(0, SAMPLES))
         after, square = state["covariance"][0, :, :JOINT], variance[k]
         np.testing.assert_allclose(together[k], own, rtol=1e-12)
         np.testing.assert_allclose(derivative[k * SAMPLES : (k + 1) * SAMPLES], far[0], rtol=1e-12)

@@ -40,15 +40,15 @@ def test_the_score_is_that_of_gneiting_and_raftery(errors, u):
     assert _score(np.array(errors), np.full(len(errors), u)) == pytest.approx(expected, rel=1e-6)
 
 
-def least_factor(errors, expected):
-    """Where the score of errors and of normal ones, whose mean it is, is least on a fine grid."""
+def least_factor(errors, expected, count=2000):
+    """Where the score of errors and of normal ones, whose mean it is, is least on a grid."""
 
     def score(c):
         edge = 1.96 * c / EXPECTED_RATIO
         beyond = 2 * EXPECTED_RATIO * (norm.pdf(edge) - edge * norm.sf(edge))
         return _score(errors, np.full(len(errors), c)) + expected * (3.92 * c + 40 * beyond)
 
-    return min(np.geomspace(*FACTORS, 2000), key=score)
+    return min(np.geomspace(*FACTORS, count), key=score)
 
 
 @pytest.mark.parametrize("spread", [0.3, 1.0, 3.0, 30.0])
@@ -63,8 +63,8 @@ def test_errors_of_zero_leave_the_least_factor():
     assert _factor(np.zeros(5000), 2.0) == FACTORS[0]
 
 
-def mean_share(errors, loads, factor):
-    shares = np.linspace(0, 0.3, 1501)
+def mean_share(errors, loads, factor, count=1501):
+    shares = np.linspace(0, 0.3, count)
     scores = [_score(errors, np.sqrt(factor**2 + (g * loads) ** 2)) for g in shares]
     weights = np.exp(min(scores) - np.array(scores))
     return np.trapezoid(weights * shares) / np.trapezoid(weights)
@@ -88,8 +88,8 @@ def test_without_loads_there_is_no_share():
 def factors_of(errors, deviation, torque, free, expected):
     """Factor by errors without load and share by all."""
     e, load = np.abs(errors / deviation), np.abs(torque / deviation)
-    c = least_factor(e[free], expected)
-    return c, mean_share(e, load, c)
+    c = least_factor(e[free], expected, 400)
+    return c, mean_share(e, load, c, 301)
 
 
 def errors_of(count, kind, seed, fitted=False, spread=1.6, loaded=True):

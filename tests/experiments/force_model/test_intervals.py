@@ -8,8 +8,8 @@ import pytest
 from rigtool.experiments.force_filter.motion_states import CREEPING_KIND, KIND_COUNT, State
 from rigtool.experiments.force_model.intervals import Errors, scales, uncertainty_of_kinds
 
-MINUTES = 30_000
-"""Compared steps of ten minutes."""
+MINUTES = 15_000
+"""Compared steps of five minutes."""
 
 NO_RIPPLE, QUIET = np.zeros(1), np.zeros(1, dtype=bool)
 

@@ -15,6 +15,7 @@ from rigtool.experiments.force_sensor.unknown_friction import (
     unknown_friction,
     unknown_share,
 )
+from tests.thorough import thorough
 
 U, PASSES = 0.4e-3, 12
 
@@ -46,7 +47,7 @@ def test_friction_in_both_directions_is_found_whatever_touches(seed, friction, s
     assert found.typical * U == pytest.approx(friction, abs=0.35e-3)
 
 
-@pytest.mark.parametrize("count", [2, 4, 8])
+@pytest.mark.parametrize("count", [2, 8, *thorough(4)])
 def test_few_strokes_that_deviate_by_u_show_friction_by_chance(count):
     rng, noted, learn_again = np.random.default_rng(count), 0, 0
     direction = np.tile([1.0, -1.0], count)

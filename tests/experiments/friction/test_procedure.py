@@ -24,7 +24,7 @@ from rigtool.quantity import Quantity
 from rigtool.recipe import load_recipe, override_recipe
 from rigtool.recipe.commands import Stribeck
 from rigtool.runfile import Recording, RecordingSpec, RunWriter, open_run
-from tests.experiments.virtual_runs import RECIPE, run, write_kt
+from tests.experiments.virtual_runs import RECIPE, run
 from tests.thorough import first_of
 from tests.unchanged import require_unchanged
 
@@ -33,16 +33,6 @@ SHORT = (
     "stribeck.sweep_time=30",
     "stribeck.record_every=16",
 )
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return tmp_path_factory.mktemp("friction")
-
-
-@pytest.fixture(scope="module")
-def kt(folder):
-    return write_kt(folder)
 
 
 @pytest.fixture(scope="module")

@@ -22,11 +22,12 @@ from rigtool.recipe import load_recipe
 from rigtool.recipe.commands import IlcLearn
 from rigtool.runfile import Column, Table, open_run
 from tests.experiments.virtual_runs import (
+    COULOMB,
     QUIET,
     RECIPE,
     TORQUE_CONSTANT,
+    VISCOUS,
     run,
-    write_kt,
     write_results,
 )
 from tests.thorough import first_of
@@ -39,17 +40,6 @@ SHORT = (
     "ilc_learn.low_speeds_rev_per_s=[0.5]",
     "ilc_learn.moves=3",
 )
-COULOMB, VISCOUS = 2.3e-3, 5.33e-5
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return tmp_path_factory.mktemp("ilc")
-
-
-@pytest.fixture(scope="module")
-def kt(folder):
-    return write_kt(folder)
 
 
 @pytest.fixture(scope="module")
@@ -57,16 +47,6 @@ def learned(folder, kt):
     """A short run on the thesis's rig: its path and outcome."""
     path = folder / "tables.h5"
     return path, run(ILC_LEARN, RECIPE, path, *SHORT, kt=kt)
-
-
-@pytest.fixture(scope="module")
-def friction(folder):
-    return write_results(
-        folder / "friction.h5",
-        "stribeck",
-        coulomb_friction=(COULOMB, "N m"),
-        viscous_friction=(VISCOUS, "N m s/rad"),
-    )
 
 
 @pytest.fixture(scope="module")

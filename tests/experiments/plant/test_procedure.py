@@ -45,11 +45,6 @@ CONSTANT = {
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return tmp_path_factory.mktemp("plant")
-
-
-@pytest.fixture(scope="module")
 def kt(folder):
     path = folder / "kt.h5"
     with RunWriter(path, command="calibrate-kt", recipe=None, recipe_text=None) as writer:

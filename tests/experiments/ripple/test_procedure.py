@@ -22,7 +22,6 @@ from tests.experiments.virtual_runs import (
     RECIPE,
     TORQUE_CONSTANT,
     run,
-    write_kt,
     write_results,
 )
 from tests.unchanged import require_unchanged
@@ -33,16 +32,6 @@ SHORT = (
     "fft_ripple.torques=[14e-3, 160e-3]",
     "fft_ripple.slow_speed_rev_per_s=0.5",
 )
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return tmp_path_factory.mktemp("ripple")
-
-
-@pytest.fixture(scope="module")
-def kt(folder):
-    return write_kt(folder)
 
 
 @pytest.fixture(scope="module")

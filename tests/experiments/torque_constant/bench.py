@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from rigtool.experiments.torque_constant.staircases.plateaus import Plateaus, plateaus_of_set_point
 from rigtool.numerics.compiled import compiled_allocating
 
 Array = NDArray[np.float64]
@@ -157,3 +158,8 @@ def _arm_torque(
             held = friction * bristle * (1 + asymmetry * bristle)
         torque[k] = target - held
     return torque
+
+
+def plateaus_in(signals: dict[str, Array], settle_time: float = Bench.settle_time) -> Plateaus:
+    """Return the plateaus of what a bench has recorded."""
+    return plateaus_of_set_point(**signals, arm_length=Bench.arm_length, settle_time=settle_time)

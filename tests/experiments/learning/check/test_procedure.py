@@ -14,7 +14,7 @@ from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.recipe import load_recipe
 from rigtool.runfile import open_run
-from tests.experiments.virtual_runs import RECIPE, TORQUE_CONSTANT, run, write_kt, write_results
+from tests.experiments.virtual_runs import RECIPE, TORQUE_CONSTANT, run, write_results
 from tests.thorough import first_of
 from tests.unchanged import require_unchanged
 
@@ -32,16 +32,6 @@ MOVING = (
     "ilc_learn.moves=8",
 )
 SEEDS = (1, 2)
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return tmp_path_factory.mktemp("check")
-
-
-@pytest.fixture(scope="module")
-def kt(folder):
-    return write_kt(folder)
 
 
 @pytest.fixture(scope="module", params=first_of(SEEDS))

@@ -21,7 +21,7 @@ from rigtool.experiments.learning.rows import Row
 from rigtool.experiments.learning.stored_table import lookup_table_from, require_same_rig
 from rigtool.recipe import load_recipe, override_recipe
 from rigtool.runfile import open_run
-from tests.experiments.virtual_runs import QUIET, RECIPE, run, write_kt, write_results
+from tests.experiments.virtual_runs import COULOMB, QUIET, RECIPE, VISCOUS, run, write_results
 from tests.thorough import first_of
 from tests.unchanged import require_unchanged
 
@@ -36,33 +36,12 @@ SHORT = (
     "ilc_learn.iterations=2",
     "ilc_learn.validation=true",
 )
-COULOMB, VISCOUS = 2.3e-3, 5.33e-5
 SEEDS = (1, 2, 3)
 REV = 2 * np.pi
 
 
 def using(name):
     return f"ilc_learn.implementation={name}"
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return tmp_path_factory.mktemp("turning")
-
-
-@pytest.fixture(scope="module")
-def kt(folder):
-    return write_kt(folder)
-
-
-@pytest.fixture(scope="module")
-def friction(folder):
-    return write_results(
-        folder / "friction.h5",
-        "stribeck",
-        coulomb_friction=(COULOMB, "N m"),
-        viscous_friction=(VISCOUS, "N m s/rad"),
-    )
 
 
 @pytest.fixture(scope="module", params=first_of(SEEDS))

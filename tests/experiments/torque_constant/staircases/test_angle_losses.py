@@ -81,7 +81,7 @@ def rippled(angles, random):
 def test_intervals_hold_what_few_angles_hide_of_a_loss(angles):
     random = np.random.default_rng(5)
     errors, stated, dof = [], [], []
-    for _ in range(100):
+    for _ in range(60):
         stairs, fit = rippled(angles, random)
         errors.append(np.mean(-fit.own[:, 1] / fit.own[:, 0]) - LOSS)
         u, free = hidden_loss(stairs, fit, NOISE)

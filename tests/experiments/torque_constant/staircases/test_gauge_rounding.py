@@ -16,8 +16,7 @@ from rigtool.experiments.torque_constant.staircases.gauge_rounding import (
 )
 from rigtool.experiments.torque_constant.staircases.hypotheses import weigh_hypotheses
 from rigtool.experiments.torque_constant.staircases.model import arrange
-from rigtool.experiments.torque_constant.staircases.plateaus import plateaus_of_set_point
-from tests.experiments.torque_constant.bench import Bench
+from tests.experiments.torque_constant.bench import Bench, plateaus_in
 
 STEP = 0.011
 """Of the gauge, N: 30 in a staircase."""
@@ -32,7 +31,7 @@ def test_hypotheses_spread_as_over_zeros_of_a_true_gauge():
 
     def plateaus(force):
         channels = {**signals, "force": force}
-        return plateaus_of_set_point(**channels, arm_length=0.54, settle_time=0.08)
+        return plateaus_in(channels)
 
     zeros = np.arange(0, 12, 3) / 12
     rounded = [plateaus((np.round(signals["force"] / STEP + zero) - zero) * STEP) for zero in zeros]
@@ -52,7 +51,7 @@ def test_hypotheses_spread_as_over_zeros_of_a_true_gauge():
 
 def test_a_gauge_without_steps_rounds_nothing():
     signals = Bench().record((20,), 1)
-    stairs = arrange(plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08))
+    stairs = arrange(plateaus_in(signals))
     none = rounding_errors(replace(stairs, resolution=0.0), stairs.torque)
     assert_allclose(none, np.zeros((1, *stairs.torque.shape)))
 
@@ -92,7 +91,7 @@ def test_hypotheses_are_spread_over_zeros_where_the_gauge_is_coarse(monkeypatch,
     signals = Bench(force_noise=1e-4, friction=1e-3).record((20, 50), 1, levels)
     force = np.round(signals["force"] / step) * step
     channels = {**signals, "force": force}
-    plateaus = plateaus_of_set_point(**channels, arm_length=0.54, settle_time=0.08)
+    plateaus = plateaus_in(channels)
     monkeypatch.setattr(fit, "spread_over_zeros", lambda *given: asked.append(given) or 7e-3)
     found = fit.fit_staircases(plateaus)
     if not coarse:

@@ -18,13 +18,12 @@ from rigtool.experiments.torque_constant.staircases.hypotheses import (
 )
 from rigtool.experiments.torque_constant.staircases.mean_staircases import ASYMMETRY
 from rigtool.experiments.torque_constant.staircases.model import arrange
-from rigtool.experiments.torque_constant.staircases.plateaus import plateaus_of_set_point
 from rigtool.experiments.torque_constant.staircases.winding_time import (
     LONGEST_TIME_CONSTANT,
     SHORTEST_TIME_CONSTANT,
     WindingTime,
 )
-from tests.experiments.torque_constant.bench import Bench
+from tests.experiments.torque_constant.bench import Bench, plateaus_in
 
 
 def test_friction_is_tried_as_well_with_every_time_constant(monkeypatch):
@@ -36,7 +35,7 @@ def test_friction_is_tried_as_well_with_every_time_constant(monkeypatch):
     )
     bench = Bench()
     signals = bench.record((20, 50), angles=2)
-    fit_staircases(plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08))
+    fit_staircases(plateaus_in(signals))
     place = tried[-1].place
     best = place[int(np.argmin(tried[-1].square.min(axis=1)))]
     beside = {
@@ -250,7 +249,7 @@ def test_friction_s_law_is_found_along_what_staircases_show_of_it():
     likely, and what it hits stands for all of the rest."""
     bench = Bench(presliding_angle=3e-3, friction=4e-3, force_noise=1e-4, ripple=(), saturation=0.0)
     signals = bench.record((20, 50), angles=2)
-    stairs = arrange(plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08))
+    stairs = arrange(plateaus_in(signals))
     found = weigh_hypotheses(stairs, bench.coefficient, np.zeros(4))
     constant = bench.torque_constant * (1 + 15 * bench.coefficient)
     assert found.constant == pytest.approx(constant, rel=2.5e-4, abs=0)
@@ -262,8 +261,5 @@ def test_what_all_staircases_have_in_common_makes_the_loss_by_heat_uncertain():
     bench = Bench(saturation=0.0)
     signals = bench.record((20, 50), angles=4)
     bent = signals | {"force": signals["force"] + 3e-4 * np.sin(40 * signals["force"])}
-    straight, curved = (
-        fit_staircases(plateaus_of_set_point(**each, arm_length=0.54, settle_time=0.08))
-        for each in (signals, bent)
-    )
+    straight, curved = (fit_staircases(plateaus_in(each)) for each in (signals, bent))
     assert curved.heating_u > 3 * straight.heating_u

@@ -21,20 +21,19 @@ from rigtool.experiments.torque_constant.staircases.mean_staircases import (
     MeanStaircases,
 )
 from rigtool.experiments.torque_constant.staircases.model import Common, arrange, winding
-from rigtool.experiments.torque_constant.staircases.plateaus import plateaus_of_set_point
 from rigtool.experiments.torque_constant.staircases.swings import (
     friction_state,
     mean_courses,
     straight_path,
 )
 from rigtool.numerics.residual_covariance import independent_samples
-from tests.experiments.torque_constant.bench import Bench
+from tests.experiments.torque_constant.bench import Bench, plateaus_in
 
 
 def test_friction_is_the_bench_s_and_none_where_a_hypothesis_has_none():
     bench = Bench(friction=4e-3, force_noise=1e-4, ripple=(), saturation=0.0)
     signals = bench.record((20, 50), angles=2)
-    stairs = arrange(plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08))
+    stairs = arrange(plateaus_in(signals))
     found = weigh_hypotheses(stairs, bench.coefficient, np.zeros(4))
     assert found.means.contacts(found.weighed.best).level == pytest.approx(4e-3, rel=0.05)
     without = type(found.weighed.best)(None, 1.0, None, 30.0)
@@ -45,7 +44,7 @@ def test_friction_is_the_bench_s_and_none_where_a_hypothesis_has_none():
 @pytest.fixture(scope="module")
 def stairs():
     signals = Bench(saturation=0.0).record((20, 50), angles=2)
-    return arrange(plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08))
+    return arrange(plateaus_in(signals))
 
 
 @pytest.mark.parametrize("friction", [2e-3, -2e-3, 0.06])
@@ -267,7 +266,7 @@ def motion(monkeypatch):
         return friction_of_each(means, common, *known)
 
     def motion(signals):
-        plateaus = plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08)
+        plateaus = plateaus_in(signals)
         slopes = fit_staircases(plateaus)
         return slopes, *asked[-1]
 
@@ -298,7 +297,7 @@ def test_each_arm_is_moved_with_the_friction_at_its_temperature(motion):
 def test_friction_that_is_larger_in_one_direction_is_found(asymmetry):
     bench = Bench(asymmetry=asymmetry, force_noise=1e-4, ripple=(), saturation=0.0)
     signals = bench.record((20, 50), angles=2)
-    stairs = arrange(plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08))
+    stairs = arrange(plateaus_in(signals))
     means = MeanStaircases(stairs, bench.coefficient, np.zeros(4))
     common = Common(bench.stiffness * bench.presliding_angle, 1.0, None, bench.time_constant)
     for _ in range(3):
@@ -320,7 +319,7 @@ def test_an_asymmetry_that_friction_s_law_may_explain_is_as_uncertain_as_it_scat
     quiet = {"force_noise": 1e-6, "ripple": (), "saturation": 0.0}
     bench = Bench(presliding_angle=3e-3, friction=4e-3, **quiet)
     signals = bench.record((20, 50), angles=2)
-    stairs = arrange(plateaus_of_set_point(**signals, arm_length=0.54, settle_time=0.08))
+    stairs = arrange(plateaus_in(signals))
     common = Common(bench.stiffness * bench.presliding_angle, 1.0, None, bench.time_constant)
     rng, found, doubts = np.random.default_rng(1), [], []
     for _ in range(60):

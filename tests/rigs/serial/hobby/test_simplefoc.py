@@ -1,7 +1,6 @@
 """SimpleFOC by its Commander, over a line, followed by the host's own loop."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from rigtool.rigs.serial.hobby import simplefoc
 from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.line import Line, LineLost
 from rigtool.rigs.serial.ports import find_devices
-from tests.rigs.performed import perform
+from tests.rigs.performed import perform, require_replayed
 from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.emulators.simplefoc import SimpleFocEmulator
 from tests.rigs.serial.recipes import serial_recipe
@@ -177,11 +176,4 @@ def test_the_guard_is_reported_when_it_is_on_alive_and_off():
 
 
 def test_a_record_plays_back_with_the_same_signals(tmp_path):
-    path = str(tmp_path / "line.spy")
-    signals = []
-    with serve(SimpleFocEmulator()) as server:
-        for port, spy in ((server.port, path), (f"replay://{path}", None)):
-            with simplefoc_rig(port, operator=replace(QUIET, spy=spy)) as rig:
-                signals.append(perform(rig, BRIEF))
-    for name, values in signals[0].items():
-        np.testing.assert_array_equal(values, signals[1][name])
+    require_replayed(simplefoc_rig, serve(SimpleFocEmulator()), BRIEF, tmp_path)

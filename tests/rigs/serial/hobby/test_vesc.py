@@ -3,7 +3,6 @@
 import json
 import math
 import struct
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,19 +11,17 @@ from hypothesis import strategies as st
 
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.rigs import Feedforward, Task
-from rigtool.rigs.motion import CurrentSteps, SpeedProfile, Triangle
-from rigtool.rigs.operator import Operator
+from rigtool.rigs.motion import CurrentSteps, Triangle
 from rigtool.rigs.serial.hobby import vesc
 from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.ports import find_devices
+from tests.rigs.performed import perform, require_replayed
 from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.emulators.vesc import VescEmulator
-from tests.rigs.serial.hobby.test_simplefoc import LOOP, perform
+from tests.rigs.serial.hobby.test_simplefoc import BRIEF, LOOP, QUIET
 from tests.rigs.serial.recipes import serial_recipe
 from tests.rigs.serial.target.test_driver_faults import wait_until
 
-QUIET = Operator(say=lambda text: None, present=False, yes=True)
-BRIEF = Task(SpeedProfile((0.0, 0.1, 0.3, 0.4), (0.0, 4.0, 4.0, 0.0)), Feedforward(1.5e-5, 2.3e-3))
 TO_AND_FRO = Task(Triangle(-1.0, 9.0, 8.0, 1.0, cycles=1), Feedforward(1.5e-5, 2.3e-3, 5e-5))
 
 
@@ -184,11 +181,4 @@ def test_a_run_that_fails_ends_with_a_message_and_the_motor_off(fault):
 
 
 def test_a_record_plays_back_with_the_same_signals(tmp_path):
-    path = str(tmp_path / "line.spy")
-    signals = []
-    with serve(VescEmulator()) as server:
-        for port, spy in ((server.port, path), (f"replay://{path}", None)):
-            with vesc_rig(port, operator=replace(QUIET, spy=spy)) as rig:
-                signals.append(perform(rig, BRIEF))
-    for name, values in signals[0].items():
-        np.testing.assert_array_equal(values, signals[1][name])
+    require_replayed(vesc_rig, serve(VescEmulator()), BRIEF, tmp_path)

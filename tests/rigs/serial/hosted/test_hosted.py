@@ -16,7 +16,7 @@ from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.drive import Abilities
 from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.line import LineLost
-from tests.rigs.performed import perform
+from tests.rigs.performed import perform, require_replayed
 from tests.rigs.serial import toy
 from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.recipes import serial_recipe
@@ -316,12 +316,4 @@ def test_operator_reads_the_thermometer_once_a_motion():
 
 
 def test_a_record_plays_back_with_the_same_signals(tmp_path):
-    path = tmp_path / "line.spy"
-    quiet = Operator(say=lambda text: None, present=False)
-    attendant = replace(quiet, yes=True, spy=str(path))
-    with serve(toy.ToyEmulator()) as server, toy_rig(server.port, operator=attendant) as rig:
-        first = perform(rig, BRIEF)
-    with toy_rig(f"replay://{path}") as rig:
-        again = perform(rig, BRIEF)
-    for name, values in first.items():
-        np.testing.assert_array_equal(again[name], values)
+    require_replayed(toy_rig, serve(toy.ToyEmulator()), BRIEF, tmp_path)

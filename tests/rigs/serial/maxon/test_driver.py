@@ -4,7 +4,6 @@ import binascii
 import json
 import struct
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +26,7 @@ from rigtool.rigs.serial.maxon import guard as maxon_guard
 from rigtool.rigs.serial.maxon.frames import OKAY, DleFrames, crc, dle_frame, lock_step_frame
 from rigtool.rigs.serial.maxon.objects import CURRENT_TARGET_2
 from rigtool.rigs.serial.ports import find_devices
-from tests.rigs.performed import perform
+from tests.rigs.performed import perform, require_replayed
 from tests.rigs.serial.emulators.faults import Fault, inject, serve
 from tests.rigs.serial.emulators.maxon import (
     NOT_AWAITED,
@@ -522,17 +521,7 @@ def test_nobody_is_nobody(monkeypatch):
 
 
 def test_a_record_plays_back_with_the_same_signals(device, tmp_path):
-    path = tmp_path / "line.spy"
-    quiet = Operator(say=lambda text: None, present=False)
-    with (
-        serve(device) as server,
-        maxon_rig(server.port, operator=replace(quiet, yes=True, spy=str(path))) as rig,
-    ):
-        first = perform(rig, BRIEF)
-    with maxon_rig(f"replay://{path}") as rig:
-        again = perform(rig, BRIEF)
-    for name, values in first.items():
-        np.testing.assert_array_equal(again[name], values)
+    require_replayed(maxon_rig, serve(device), BRIEF, tmp_path)
 
 
 def test_a_single_dle_within_an_answer_is_damage():

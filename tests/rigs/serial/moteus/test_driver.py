@@ -24,7 +24,7 @@ from rigtool.rigs.serial.moteus import driver as moteus
 from rigtool.rigs.serial.moteus import frames
 from rigtool.rigs.serial.ports import find_devices
 from tests.cli.called import call
-from tests.rigs.performed import perform
+from tests.rigs.performed import perform, require_replayed
 from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.emulators.moteus import MoteusEmulator, reply
 from tests.rigs.serial.recipes import serial_recipe
@@ -406,15 +406,8 @@ def test_drive_without_thermometer_says_so():
 
 
 def test_a_record_plays_back_with_the_same_signals(tmp_path):
-    path = tmp_path / "line.spy"
     brief = Task(SpeedProfile((0.0, 0.05, 0.1), (0.0, 1.0, 0.0)))
-    operator = replace(QUIET, yes=True, spy=str(path))
-    with serve(MoteusEmulator()) as server, moteus_rig(server.port, operator=operator) as rig:
-        first = perform(rig, brief)
-    with moteus_rig(f"replay://{path}") as rig:
-        again = perform(rig, brief)
-    for name, values in first.items():
-        np.testing.assert_array_equal(again[name], values)
+    require_replayed(moteus_rig, serve(MoteusEmulator()), brief, tmp_path)
 
 
 def test_rate_of_the_line_is_well_above_the_loop():

@@ -31,7 +31,7 @@ from rigtool.rigs.serial.odrive.text import (
 )
 from rigtool.rigs.serial.ports import find_devices
 from tests.cli.called import call
-from tests.rigs.performed import perform
+from tests.rigs.performed import perform, require_replayed
 from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.emulators.odrive import CLOSED_LOOP, IDLE, ODriveEmulator
 from tests.rigs.serial.recipes import serial_recipe
@@ -528,15 +528,8 @@ def test_speed_beyond_the_limit_ends_the_run():
 
 
 def test_a_record_plays_back_with_the_same_signals(tmp_path):
-    path = tmp_path / "line.spy"
-    operator = replace(QUIET, yes=True, spy=str(path))
     faulty = serve(ODriveEmulator(), Fault("flip", at=125))
-    with faulty as server, odrive_rig(server.port, operator=operator) as rig:
-        first = perform(rig, SHORT)
-    with odrive_rig(f"replay://{path}") as rig:
-        again = perform(rig, SHORT)
-    for name, values in first.items():
-        np.testing.assert_array_equal(again[name], values)
+    require_replayed(odrive_rig, faulty, SHORT, tmp_path)
 
 
 def test_a_property_that_never_takes_a_value_is_an_error():
