@@ -14,7 +14,8 @@ sums R and A over time of r and of a with themselves, shifted by each lag, it mo
 sqrt(A' R / n) / a' a, n the points less what is fitted. A force that opposes the acceleration at
 both ends of all strokes cannot be told from an inertia. Nor can friction that a reversal lacks: of
 a slow turn it has the shape, and a line and friction leave little of its a, so that a small torque
-makes a large J. So J a_k, and not J times the whole acceleration, has to be beyond errors.
+makes a large J. So J a_k, and not J times the whole acceleration, has to be beyond errors; in the
+mean of both ends, because a torque with one sign adds to J at one end what it takes at the other.
 """
 
 from __future__ import annotations
@@ -95,12 +96,12 @@ class CommandedTurns:
 
 def commanded_inertia(parts: Sequence[CommandedTurns]) -> UnknownInertia | None:
     """Return what the turns of stretches show, the larger of both signs; None where they may be
-    chance or are not alike, or their torques are no more than errors."""
+    chance or are not alike, or their torques are, in the mean, no more than errors."""
     acceleration, u, windows = (
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("acceleration", "u", "windows")
     )
-    found, certain = [], 0.0
+    found, certain, over_u = [], 0.0, 0.0
     for side in (acceleration > 0, acceleration < 0):
         if side.sum() < FEWEST_TURNS:
             return None
@@ -108,14 +109,13 @@ def commanded_inertia(parts: Sequence[CommandedTurns]) -> UnknownInertia | None:
         if not inertia > LEAST_CERTAIN * error:
             return None
         certain += inertia / error / math.sqrt(2)
-        torque = inertia * np.abs(acceleration[side])
         shown = inertia * np.abs(windows[side, 0]).max(axis=1)
-        if np.median(shown / u[side]) < TYPICAL_OVER_U:
-            return None
-        found.append(UnknownInertia(inertia, float(np.median(torque))))
+        over_u += float(np.median(shown / u[side])) / 2
+        torque = float(np.median(inertia * np.abs(acceleration[side])))
+        found.append(UnknownInertia(inertia, torque))
     least, largest = sorted(found, key=lambda one: one.inertia)
     alike = least.inertia > ALIKE * largest.inertia
-    return largest if alike and certain > CERTAIN else None
+    return largest if alike and certain > CERTAIN and over_u > TYPICAL_OVER_U else None
 
 
 def _inertia(windows: Array) -> tuple[float, float]:

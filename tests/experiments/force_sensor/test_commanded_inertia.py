@@ -127,3 +127,16 @@ def test_what_repeats_with_the_strokes_is_in_the_error_of_an_inertia(part, is_fo
     left = part * 40e-6 * np.cos(2 * np.pi * np.linspace(0, 1, POINTS, endpoint=False))
     found = commanded_inertia([alike_turns(np.full(10, 40e-6), left)])
     assert (found is not None) == is_found
+
+
+@pytest.mark.parametrize(
+    ("at_ends", "is_found"), [((0.35, 0.75), True), ((0.3, 0.6), False), ((0.2, 1.2), False)]
+)
+def test_the_torque_of_an_inertia_is_beyond_half_of_u_in_the_mean_of_ends_that_are_alike(
+    at_ends, is_found
+):
+    left = 0.4e-6 * np.cos(2 * np.pi * np.linspace(0, 1, POINTS, endpoint=False))
+    first, last = (alike_turns(np.full(10, 40e-6 * end), left) for end in at_ends)
+    windows = np.concatenate([first.windows[:10], last.windows[10:]])
+    own = CommandedTurns(first.acceleration, np.full(20, 40e-6), windows)
+    assert (commanded_inertia([own]) is not None) == is_found
