@@ -14,8 +14,9 @@ sums R and A over time of r and of a with themselves, shifted by each lag, it mo
 sqrt(A' R / n) / a' a, n the points less what is fitted. A force that opposes the acceleration at
 both ends of all strokes cannot be told from an inertia. Nor can friction that a reversal lacks: of
 a slow turn it has the shape, and a line and friction leave little of its a, so that a small torque
-makes a large J. So J a_k, and not J times the whole acceleration, has to be beyond errors; in the
-mean of both ends, because a torque with one sign adds to J at one end what it takes at the other.
+makes a large J. So turns are compared where more than half of a is left, and J a_k, not J times the
+whole acceleration, has to be beyond errors; in the mean of both ends, because a torque with one
+sign adds to J at one end what it takes at the other.
 """
 
 from __future__ import annotations
@@ -48,6 +49,9 @@ TAKEN_OFF = 4
 
 LEAST_CERTAIN, CERTAIN = 1.0, 2.5
 """Standard errors by which the inertia of either side is above zero, and that of both together."""
+
+LEFT = 0.5
+"""Part of the acceleration that a line and friction leave at least: slow turns are as friction."""
 
 ALIKE = 0.25
 """Part of the larger inertia that the other side shows at least: a spring is at one end."""
@@ -95,8 +99,8 @@ class CommandedTurns:
 
 
 def commanded_inertia(parts: Sequence[CommandedTurns]) -> UnknownInertia | None:
-    """Return what the turns of stretches show, the larger of both signs; None where they may be
-    chance or are not alike, or their torques are, in the mean, no more than errors."""
+    """Return what the turns of stretches show, the larger of both signs; None where they are slow,
+    may be chance or are not alike, or their torques are, in the mean, no more than errors."""
     acceleration, u, windows = (
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("acceleration", "u", "windows")
@@ -105,14 +109,13 @@ def commanded_inertia(parts: Sequence[CommandedTurns]) -> UnknownInertia | None:
     for side in (acceleration > 0, acceleration < 0):
         if side.sum() < FEWEST_TURNS:
             return None
+        asked, left = np.abs(acceleration[side]), np.abs(windows[side, 0]).max(axis=1)
         inertia, error = _inertia(windows[side])
-        if not inertia > LEAST_CERTAIN * error:
+        if not inertia > LEAST_CERTAIN * error or np.median(left / asked) < LEFT:
             return None
         certain += inertia / error / math.sqrt(2)
-        shown = inertia * np.abs(windows[side, 0]).max(axis=1)
-        over_u += float(np.median(shown / u[side])) / 2
-        torque = float(np.median(inertia * np.abs(acceleration[side])))
-        found.append(UnknownInertia(inertia, torque))
+        over_u += float(np.median(inertia * left / u[side])) / 2
+        found.append(UnknownInertia(inertia, float(np.median(inertia * asked))))
     least, largest = sorted(found, key=lambda one: one.inertia)
     alike = least.inertia > ALIKE * largest.inertia
     return largest if alike and certain > CERTAIN and over_u > TYPICAL_OVER_U else None

@@ -67,7 +67,7 @@ def test_a_force_that_swings_the_rotor_is_no_inertia_in_step_with_the_strokes_ei
 
 
 @pytest.mark.parametrize(
-    ("turn", "over_u", "is_found"), [(0.1, 0.9, 1), (0.3, 0.9, 0), (0.3, 1.4, 1)]
+    ("turn", "over_u", "is_found"), [(0.1, 0.6, 0), (0.1, 0.9, 1), (0.3, 1.4, 0)]
 )
 def test_an_inertia_is_stated_only_by_what_a_line_in_time_does_not_hold(turn, over_u, is_found):
     _, acceleration, speed = strokes(turn)
