@@ -463,7 +463,9 @@ def test_a_clock_that_is_off_loses_no_sample(rig, strokes, tmp_path):
     assert not any("missing" in note for note in found.notes)
 
 
-def test_what_is_too_short_for_a_row_between_gaps_begins_no_filter(rig, strokes, tmp_path, monkeypatch):
+def test_what_is_too_short_for_a_row_between_gaps_begins_no_filter(
+    rig, strokes, tmp_path, monkeypatch
+):
     def riddled(signals):
         signals["current_setpoint"] = signals["current_setpoint"].copy()
         for first in range(9):  # longer than a current holds
