@@ -228,20 +228,25 @@ def test_a_motion_beyond_five_times_the_learned_speed_is_no_leap(tmp_path):
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * RANGE)
 
 
-@pytest.mark.parametrize("rest", [159, 160, 161, 2000])
-def test_counts_that_leap_after_a_rest_begin_anew(libraries, samples, rest):
+@pytest.mark.parametrize(
+    ("rest", "leap"),
+    [(159, 300), (160, 300), (161, 300), (2000, 300), (2000, 4000), (2000, -(2**16))],
+)
+def test_counts_that_leap_after_a_rest_begin_anew(libraries, samples, rest, leap):
+    """Unless the counter wraps."""
     at, part = 8000 + rest, samples["strokes"][:, :24000].copy()
+    anew = rest > 160 and leap == 300
     part[0, 8000:at] = part[0, 8000] + 1  # stopped, or at rest
-    part[0, at:] = samples["strokes"][0, at:24000] + 300
+    part[0, at:] = part[0, 8000] + leap
     size = len(read(libraries["double"], part[:, :at]))
     behind = read(libraries["double"], part)[size:]
     counts = instrument().counts()
     part[0] = counts.add(part[0])
-    assert list(counts.shown) == [at] * (rest > 160)
-    own = (part[:, at:], part[:, :at]) if rest > 160 else (part,)
+    assert list(counts.shown) == [at] * anew
+    own = (part[:, at:], part[:, :at]) if anew else (part,)
     wanted = expected(instrument(), *own)[-len(behind) :]
     np.testing.assert_allclose(behind, wanted, rtol=0, atol=1e-9 * RANGE)
-    assert np.isnan(behind[:90, 0]).all() == (rest > 160)
+    assert np.isnan(behind[:90, 0]).all() == anew
 
 
 def test_behind_missing_samples_the_sensor_begins_anew_and_forgets_no_ripple(libraries, samples):
