@@ -105,8 +105,8 @@ def _steps(instrument: SensorProperties) -> dict[str, int]:
         "SPEED_STEPS": _within(motion_states.SPEED_TIME, step_time) - 1,
         "IDLE_STEPS": idle_steps(step_time),
         "HELD": held_samples(instrument.interval),
-        "LEAP": int(min(_leap(instrument), INT32 // 2)),
-        "COUNTING_STEPS": creeping.steps_of(lost_counts.COUNTING_TIME, step_time),
+        "LEAP": int(min(instrument.counts().largest_step, INT32 // 4)),
+        "COUNTING_SAMPLES": int(lost_counts.COUNTING_TIME / instrument.interval),
         "RESTED_STEPS": creeping.steps_of(creeping.RESTED_TIME, step_time),
         "SWUNG_STEPS": creeping.steps_of(creeping.LASTING_TIME, step_time),
         "BUSY_STEPS": int(kalman.lasting_steps(model.uncertainty.busy_time, step_time)),
@@ -124,12 +124,6 @@ def _steps(instrument: SensorProperties) -> dict[str, int]:
 def _within(span: float, step_time: float) -> int:
     """Return the number of steps in a span of time, s, that ends with a step, included."""
     return 2 * max(1, round(span / step_time / 2)) + 1
-
-
-def _leap(instrument: SensorProperties) -> float:
-    """Return the counts that no rotor moves by in a step."""
-    own = instrument.count, instrument.reach.speed, instrument.grid.step_time
-    return lost_counts.Counts(*own).largest_step
 
 
 def _drive(instrument: SensorProperties) -> dict[str, Number]:

@@ -221,10 +221,10 @@ class Stretch:
         referred = "reference" in self._found
         self.add(np.empty((4 if referred else 3, 0)), last=True)
         self._settle()
-        give_back()
         step_time, every = self._instrument.grid.step_time, self._every
         if (self._steps + 2) * step_time < shortest_stretch(self._instrument.corner_hz):
             return []
+        give_back()
         self.seconds = self._steps * step_time
         contacts = self._contacts()
         give_back()
