@@ -100,8 +100,7 @@ class Estimate:
     @property
     def torque(self) -> Array:
         """Torque on the output, (m,) N m."""
-        torque: Array = self.states[:, TORQUE]
-        return torque
+        return self.states[:, TORQUE]
 
     @property
     def passed(self) -> Array:
@@ -116,8 +115,7 @@ class Estimate:
     @property
     def opened(self) -> Mask:
         """Where the noise of the torque is raised, (m,)."""
-        opened: Mask = self.outputs[:, 2] > 0
-        return opened
+        return self.outputs[:, 2] > 0
 
     @property
     def gains(self) -> Array:
@@ -158,8 +156,7 @@ class Filter:
         """Return the angle after every step that these samples complete, (m,) rad: the middle of
         its count."""
         waiting = 0 if self._waiting is None else self._waiting.low.size
-        ends: Array = signals.low[self._size - waiting :: self._size] + signals.width / 2
-        return ends
+        return signals.low[self._size - waiting :: self._size] + signals.width / 2
 
     def add(
         self,
@@ -222,5 +219,4 @@ class Filter:
         none = idle[size - 1 : count * size : size] & idle[size : count * size + 1 : size]
         lasting = step - np.maximum.accumulate(np.where(none, -self._idle, step))
         self._idle = min(int(lasting[-1]), self._idle_steps)
-        found: Mask = lasting >= self._idle_steps
-        return found
+        return lasting >= self._idle_steps

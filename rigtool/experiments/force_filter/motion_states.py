@@ -98,7 +98,7 @@ class Reach:
         low, high = self.angle
         margin = BEYOND_ANGLE * (high - low)
         cold, warm = self.temperature_degc
-        found: NDArray[np.bool_] = (
+        return (
             (angle < low - margin)
             | (angle > high + margin)
             | (np.abs(speed) > FASTEST_LEARNED_RATIO * self.speed)
@@ -106,7 +106,6 @@ class Reach:
             | (temperature_degc < cold)
             | (temperature_degc > warm)
         )
-        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,8 +203,7 @@ class Judge:
         `causal`, (m,); before the first step, it has just come."""
         moved = np.diff(low, prepend=[np.nan, low[0]]) != 0
         steps = self.unseen - 1
-        rests: Mask = ~highest(moved, steps, 0 if self.causal else steps)[1:]
-        return rests
+        return ~highest(moved, steps, 0 if self.causal else steps)[1:]
 
     @property
     def crawling(self) -> float:
@@ -223,5 +221,4 @@ class Judge:
         size = len(low)
         after = np.minimum(np.arange(size) + (0 if self.causal else half), size - 1)
         before = np.maximum(np.arange(size) - half * (2 if self.causal else 1), 0)
-        speed: Array = (low[after] - low[before]) / (np.maximum(after - before, 1) * self.step_time)
-        return speed
+        return (low[after] - low[before]) / (np.maximum(after - before, 1) * self.step_time)

@@ -202,8 +202,7 @@ def _probability(fits: Sequence[_Fit], volume: Array) -> Array:
     misfit = np.array([fit.misfit for fit in fits])
     best = fits[int(np.argmin(misfit))]
     weight = volume * (misfit / misfit.min()) ** (-best.independent / 2)
-    probability: Array = weight / weight.sum()
-    return probability
+    return weight / weight.sum()
 
 
 @dataclass(frozen=True, eq=False)

@@ -165,5 +165,4 @@ def common_levels(level: Array) -> Array:
     new = np.diff(level[order], prepend=-math.inf) > LEVEL_TOLERANCE * float(np.ptp(level))
     number = np.empty(len(level), dtype=np.int64)
     number[order] = np.cumsum(new) - 1
-    common: Array = (np.bincount(number, weights=level) / np.bincount(number))[number]
-    return common
+    return (np.bincount(number, weights=level) / np.bincount(number))[number]

@@ -196,8 +196,7 @@ def _noise(values: Array, number: NDArray[np.int64], settled: Mask) -> Array:
     within = settled[:-2] & (number[:-2] == number[2:])
     square = np.bincount(number[1:-1], weights=second**2 * within, minlength=number[-1] + 1)
     count = np.bincount(number[1:-1], weights=within, minlength=number[-1] + 1)
-    noise: Array = np.sqrt(square / np.maximum(count, 1) / 6)
-    return noise
+    return np.sqrt(square / np.maximum(count, 1) / 6)
 
 
 def _course(values: Array, start: NDArray[np.int64], stop: NDArray[np.int64]) -> Array:
@@ -206,8 +205,7 @@ def _course(values: Array, start: NDArray[np.int64], stop: NDArray[np.int64]) ->
     length = (stop - start)[:, None]
     edges = start[:, None] + length * np.linspace(0, 1, SWING_PARTS + 1)
     integral = np.interp(edges, np.arange(len(total)), total)
-    course: Array = np.diff(integral) * SWING_PARTS / length
-    return course
+    return np.diff(integral) * SWING_PARTS / length
 
 
 SINGLE_ROUNDING = 2.0**-23
