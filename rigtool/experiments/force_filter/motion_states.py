@@ -91,9 +91,7 @@ class Reach:
     temperature_degc: tuple[float, float]
     slow: float = 0.0
 
-    def left_by(
-        self, angle: Array, speed: Array, torque: Array, temperature_degc: Array
-    ) -> NDArray[np.bool_]:
+    def left_by(self, angle: Array, speed: Array, torque: Array, temperature_degc: Array) -> Mask:
         """Return where these (m,) are beyond what was learned."""
         low, high = self.angle
         margin = BEYOND_ANGLE * (high - low)

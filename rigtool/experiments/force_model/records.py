@@ -15,12 +15,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_filter.encoder_angle import interpolated
 from rigtool.experiments.force_model.paths import bristle
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.moves import rising_crossings
 from rigtool.numerics.steady_mean import steady_mean
 
@@ -79,7 +78,7 @@ class Record:
     interval: float
     angle: Array
     current: Array
-    trusted: NDArray[np.bool_]
+    trusted: Mask
     torque_constant: float
     moment: float
     load_inertia: float
@@ -152,12 +151,10 @@ class Record:
         return lowpassed_rows(signals, self.interval)
 
     @cached_property
-    def used(self) -> NDArray[np.bool_]:
+    def used(self) -> Mask:
         """Rows (rows,) that count."""
         place = np.arange(self.count) * (self.angle.size / self.count)
-        used: NDArray[np.bool_] = self.trusted[
-            np.minimum(place.astype(np.intp), self.angle.size - 1)
-        ]
+        used: Mask = self.trusted[np.minimum(place.astype(np.intp), self.angle.size - 1)]
         if not self.periodic:
             time = place * self.interval
             used = used & (time >= END_TIME) & (time <= self.angle.size * self.interval - END_TIME)
@@ -312,7 +309,7 @@ def _doublings(times: float) -> int:
 
 def _sliding(
     angle: Array, setpoint_speed: Array, interval: float, count: float, periodic: bool
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Return where the rotor slides (n,): fast enough, and far enough from its last turn.
 
     More slowly, the loop nudges the rotor from count to count, and its motion within them is

@@ -19,7 +19,7 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, Mask
 
 SEGMENT_TIME = 1.0
 """Of a segment, s: a Hann window resolves 2 Hz."""
@@ -51,7 +51,7 @@ class Spectra:
     count: int
 
     @classmethod
-    def of(cls, torque: Array, reference: Array, valid: NDArray[np.bool_], rate: float) -> Spectra:
+    def of(cls, torque: Array, reference: Array, valid: Mask, rate: float) -> Spectra:
         """Return the sums of signals (m,) of a rate, Hz; segments that are not all valid do not
         count."""
         size = round(SEGMENT_TIME * rate)

@@ -142,9 +142,7 @@ def over_time_tables(
     return results, tables
 
 
-def _results(
-    whole: TorqueRows, known: NDArray[np.bool_], read: float, lost: float
-) -> dict[str, Quantity]:
+def _results(whole: TorqueRows, known: Mask, read: float, lost: float) -> dict[str, Quantity]:
     share = float(known.mean()) * read / (read + lost)
     results = {"valid_share": Quantity(share, "1", reason="counted")}
     if known.any():
@@ -196,12 +194,12 @@ def peak(torque: Array, u: Array) -> tuple[float, float]:
 def _table(
     rows: Sequence[TorqueRows],
     whole: TorqueRows,
-    known: NDArray[np.bool_],
+    known: Mask,
     number: NDArray[np.intp],
     corner_hz: float,
     load_arm: float | None,
 ) -> Table:
-    def valid(values: Array, where: NDArray[np.bool_] = known) -> Array:
+    def valid(values: Array, where: Mask = known) -> Array:
         return np.where(where, values, np.nan)
 
     so_far = whole.causal_states != State.OUTSIDE

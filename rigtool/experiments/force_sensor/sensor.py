@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.creeping import Creeping
 from rigtool.experiments.force_filter.estimate import Estimate, Filter, Signals
@@ -126,7 +125,7 @@ class SensorProperties:
         factor, u = self.model.plant(self.grid.sample_time).torque_factor, self.model.uncertainty
         return (LEAST_SWING * factor * (u.stroke + u.friction_noise)) ** 2
 
-    def limited(self, current: Array) -> NDArray[np.bool_]:
+    def limited(self, current: Array) -> Mask:
         """Return where a current (n,) A is at its limit."""
         return np.abs(current) >= AT_THE_LIMIT * self.current_limit
 

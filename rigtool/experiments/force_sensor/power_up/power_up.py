@@ -84,7 +84,7 @@ from rigtool.experiments.force_sensor.power_up.ripple_rows import (
     row_steps,
 )
 from rigtool.experiments.force_sensor.power_up.shown_ripple import show
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.compiled import compiled, compiled_allocating
 
 OF_THE_FILTER = (
@@ -226,7 +226,7 @@ class PowerUp:
         state: NDArray[np.void],
         angle: Array,
         torque: Array,
-        sliding: NDArray[np.bool_],
+        sliding: Mask,
         follows: Array,
         drive: Array,
     ) -> tuple[Array, ...]:
@@ -269,7 +269,7 @@ def _follow(
     low_pass: Array,
     angle: Array,
     torque: Array,
-    sliding: NDArray[np.bool_],
+    sliding: Mask,
     follows: Array,
     drive: Array,
     found: Array,
