@@ -110,7 +110,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run | None = None) -> Ou
             experiments.append(experiment)
             speeds.append(speed)
         constants.append(constant)
-    count = 2 * math.pi / recipe.rig.encoder_counts
+    count = recipe.rig.count_angle
     response = frequency_response(experiments, lines, sample_time, count)
     free = recipe.rig.attachment == "pulley"
     fit = fit_plant(response, sample_time, recipe.rig.nominal_inertia, tendon=not free)
@@ -156,7 +156,7 @@ def _experiments(recording: Recording, recipe: Recipe, torque_constant: float) -
     with naming(recording):
         rising_steps(recording.read("time"))
         _require_unlimited(asked, recording.read("signal_current"), recipe)
-    angle = recording.read("encoder") * (2 * math.pi / recipe.rig.encoder_counts)
+    angle = recording.read("encoder") * recipe.rig.count_angle
     signals = (
         torque_constant * recording.read("signal_current"),
         torque_constant * asked,

@@ -222,7 +222,7 @@ def specs(
 ) -> list[RecordingSpec]:
     """Return recordings of moves to and fro at these speeds of the output, rev/s."""
     count = float(moves), "1"
-    speeds = [2 * math.pi * speed * recipe.rig.angle_ratio for speed in speeds_rev_per_s]
+    speeds = [recipe.rig.motor_speed(speed) for speed in speeds_rev_per_s]
     return [
         RecordingSpec(
             f"{kind}_{number:03d}",
@@ -261,7 +261,7 @@ def positions(recipe: Recipe, end_angle: float) -> Array:
     per_degree = rig.angle_ratio * rig.encoder_counts / 360
     first = math.ceil(end_angle * per_degree)
     last = math.floor((settings.angle - end_angle) * per_degree)
-    return np.arange(float(first), last + 1) * (2 * math.pi / rig.encoder_counts)
+    return np.arange(float(first), last + 1) * rig.count_angle
 
 
 def _moves(
