@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rigtool.experiments.force_filter import kalman, passed, smoother
 from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_filter.plant import STATES, TORQUE, Plant, as_record
-from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.arrays import Array, Mask, joined
 
 PIECE_STEPS = 8192
 """Steps that are filtered at a time where the smoother keeps what the filter did."""
@@ -90,12 +90,7 @@ class Estimate:
         """Return estimates that follow one another as one, without what the smoother needs."""
         if len(parts) == 1:
             return parts[0]
-        return cls(
-            np.concatenate([part.states for part in parts]),
-            np.concatenate([part.outputs for part in parts]),
-            np.concatenate([part.low for part in parts]),
-            np.concatenate([part.idle for part in parts]),
-        )
+        return cls(*joined(parts, "states", "outputs", "low", "idle"))
 
     @property
     def torque(self) -> Array:

@@ -13,7 +13,7 @@ The size of the error also depends on whether a sliding rotor creeps: with less 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.highest import highest
-from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.arrays import Array, Mask, joined
 
 States = NDArray[np.int32]
 Holding = NDArray[np.int8]
@@ -126,14 +126,12 @@ class Moments:
 
     def part(self, first: int, last: int | None = None) -> Moments:
         """Return these from step `first` up to `last`."""
-        return Moments(*(getattr(self, field.name)[first:last] for field in fields(self)))
+        return Moments(*(getattr(self, name)[first:last] for name in self.__dataclass_fields__))
 
     @classmethod
     def joined(cls, *parts: Moments) -> Moments:
         """Return the parts one behind the other."""
-        return cls(
-            *(np.concatenate([getattr(p, field.name) for p in parts]) for field in fields(cls))
-        )
+        return cls(*joined(parts, *cls.__dataclass_fields__))
 
 
 class Judged(NamedTuple):

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.arrays import Array, Mask, joined
 from rigtool.numerics.lowpass import lowpass
 
 SHOWN_HZ, SLOW_HZ, LONGEST_STEP = 8.0, 2.5, 0.011
@@ -124,10 +124,8 @@ def unknown_inertia(parts: Sequence[Turns]) -> UnknownInertia | None:
     """Return what the turns of stretches show, the larger of both signs; None where their torques
     are no more than errors, not in proportion to the acceleration, or where half of all changes of
     speed show less than half of it, or less than `SLOW_PART` behind the lower low-pass."""
-    acceleration, inertia, u, passing, slow = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("acceleration", "inertia", "u", "passing", "slow")
-    )
+    names = "acceleration", "inertia", "u", "passing", "slow"
+    acceleration, inertia, u, passing, slow = joined(parts, *names)
     found = []
     for side in (acceleration > 0, acceleration < 0):
         if side.sum() < FEWEST_TURNS:

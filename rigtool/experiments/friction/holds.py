@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.numerics.arrays import TINY, Array, Mask
+from rigtool.numerics.arrays import TINY, Array, Mask, joined
 from rigtool.numerics.checks import require_rising, require_signals
 from rigtool.numerics.settling import settled_from
 
@@ -161,8 +161,7 @@ def find_holds(
 
 def pool(parts: list[Holds]) -> Holds:
     """Return the holds of several recordings as one."""
-    names = Holds.__dataclass_fields__
-    return Holds(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    return Holds(*joined(parts, *Holds.__dataclass_fields__))
 
 
 def _steady_stretches(time: Array, setpoint: Array) -> list[tuple[int, int]]:
