@@ -1,8 +1,9 @@
-"""Plateaus of a signal x: |x_(i+1) - x_i| <= step, and max x - min x <= largest."""
+"""Plateaus of a signal x: |x_(i+1) - x_i| <= step, and max x - min x <= largest; alike values."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rigtool.numerics.arrays import Array
 
@@ -24,3 +25,14 @@ def find_plateaus(level: Array, step: float, largest: float) -> list[tuple[int, 
         for a, b in stretches
         if b - a >= MIN_PLATEAU_VALUES and np.ptp(level[a:b]) <= largest
     ]
+
+
+def group_numbers(values: Array, apart: float) -> NDArray[np.int64]:
+    """Return the number of each value's group (n,), that of the lowest values first.
+
+    In a group, no value is further than `apart` from the next one.
+    """
+    order = np.argsort(values, kind="stable")
+    number = np.empty(len(order), dtype=np.int64)
+    number[order] = np.cumsum(np.diff(values[order], prepend=-np.inf) > apart) - 1
+    return number

@@ -20,6 +20,7 @@ from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_filter.encoder_angle import interpolated
 from rigtool.experiments.force_model.paths import bristle
 from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.decimation import block_means
 from rigtool.numerics.moves import rising_crossings
 from rigtool.numerics.steady_mean import steady_mean
 
@@ -259,7 +260,8 @@ def _thinned(
 ) -> tuple[Array, Array, Array, float]:
     """Return means of samples, `GRID_HZ` a second or as many as there are."""
     by = max(1, round(1 / (GRID_HZ * interval)))
-    return _means(encoder, by), _means(current, by), _means(setpoint, by), interval * by
+    encoder, current, setpoint = (block_means(one, by) for one in (encoder, current, setpoint))
+    return encoder, current, setpoint, interval * by
 
 
 def _within(means: Array, place: Array, apart: float) -> Array:
@@ -281,12 +283,6 @@ def _within(means: Array, place: Array, apart: float) -> Array:
         found = (sums(place + apart / 2) - sums(place - apart / 2)) / apart
         found[1:-1] -= np.diff(found, 2) / 24
     return found
-
-
-def _means(signal: Array, by: int) -> Array:
-    """Return means of every `by` samples."""
-    size = len(signal) // by
-    return signal[: size * by].reshape(size, by).mean(axis=1)
 
 
 def bristle_scale(way: float, count: float) -> float:

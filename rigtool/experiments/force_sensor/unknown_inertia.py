@@ -103,14 +103,6 @@ def _behind(corner_hz: float, step_time: float, angle: Array, torque: Array) -> 
     return np.gradient(np.gradient(angle, step_time), step_time), shown
 
 
-def _weighted_median(squares: Array, products: Array) -> float:
-    """Return the median of products over squares (n,), of which each weighs by its square."""
-    order = np.argsort(products / squares)
-    sums = np.cumsum(squares[order])
-    at = order[np.searchsorted(sums, sums[-1] / 2)]
-    return float(products[at] / squares[at])
-
-
 @dataclass(frozen=True)
 class UnknownInertia:
     """An `inertia` at the output that was not learned, kg m2, and the `torque` that it takes at the
@@ -137,5 +129,7 @@ def unknown_inertia(parts: Sequence[Turns]) -> UnknownInertia | None:
         found.append(UnknownInertia(float(np.median(inertia[side])), float(np.median(torque))))
     largest = max(found, key=lambda one: one.torque)
     every = np.median(np.concatenate([inertia, passing]))
-    turns = _weighted_median(*slow.T) > SLOW_PART * largest.inertia
+    squares, products = slow.T
+    slowly = np.quantile(products / squares, 0.5, weights=squares, method="inverted_cdf")
+    turns = slowly > SLOW_PART * largest.inertia
     return largest if turns and every > largest.inertia / 2 else None

@@ -48,6 +48,7 @@ from rigtool.experiments.imported_load.side import (
 )
 from rigtool.numerics.arrays import Array, Mask, joined
 from rigtool.numerics.jackknife import standard_uncertainty
+from rigtool.numerics.plateaus import group_numbers
 
 MAX_FOLDS = 10
 """Parts into which levels are put that are left out together, at most."""
@@ -118,12 +119,9 @@ def level_numbers(values: Sequence[float], apart: float = MIN_LEVEL_DISTANCE) ->
     sizes = np.abs(np.asarray(values, dtype=np.float64))
     if np.ptp(sizes) <= ONE_LEVEL * float(sizes.max(initial=0.0)):
         return [0] * len(sizes)
-    order = np.argsort(sizes, kind="stable")
-    gaps = np.diff(sizes[order])
-    levels = np.empty(len(order), dtype=int)
-    gap = max(float(gaps.max()) / 4, apart * float(sizes.max(initial=0.0)))
-    levels[order] = np.concatenate([[0], np.cumsum(gaps > gap)])
-    return [int(level) for level in levels]
+    widest = float(np.diff(np.sort(sizes)).max())
+    gap = max(widest / 4, apart * float(sizes.max(initial=0.0)))
+    return group_numbers(sizes, gap).tolist()
 
 
 def levels_of(signals: Sequence[LoadSignals]) -> list[int]:

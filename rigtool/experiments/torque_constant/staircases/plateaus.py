@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from rigtool.errors import InsufficientDataError
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.checks import require_rising, require_signals
+from rigtool.numerics.plateaus import group_numbers
 
 LEVEL_TOLERANCE = 1e-3
 """Part of the span within which set points count as one level."""
@@ -245,10 +246,7 @@ def amplifier_linearity(plateaus: Plateaus) -> Linearity:
     uncertainty. Raises `InsufficientDataError` for fewer than 3 levels.
     """
     step = LEVEL_TOLERANCE * float(np.ptp(plateaus.current_setpoint))
-    order = np.argsort(plateaus.current_setpoint, kind="stable")
-    new = np.diff(plateaus.current_setpoint[order], prepend=-np.inf) > step
-    level = np.empty(len(order), dtype=np.int64)
-    level[order] = np.cumsum(new) - 1
+    level = group_numbers(plateaus.current_setpoint, step)
     count = np.bincount(level)
     if len(count) < 3:
         raise InsufficientDataError(
