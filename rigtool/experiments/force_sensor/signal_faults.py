@@ -103,8 +103,7 @@ class SignalWatch:
         loop: LoopAnswer = NO_ANSWER,
         before: SignalWatch | None = None,
     ) -> None:
-        own, reach = instrument, instrument.reach
-        plant = own.model.plant(own.grid.sample_time)
+        own, reach, plant = instrument, instrument.reach, instrument.plant
         most = float(np.abs(plant.friction_map[:, 0]).max()) + abs(plant.housing_asymmetry)
         friction = plant.static * (1 + abs(plant.asymmetry)) + plant.housing_friction * most
         load_friction = plant.load_friction + float(plant.friction_map[:, 1].max())
