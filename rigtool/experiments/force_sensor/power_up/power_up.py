@@ -205,7 +205,7 @@ class PowerUp:
         driven = np.ascontiguousarray(np.column_stack([drive, taken]))
         return self._followed(self._state, angle, states[:, TORQUE], sliding, follows, driven)
 
-    def again(self) -> Callable[[Array, Array], tuple[Array, Array, Array]]:
+    def again(self) -> Callable[[Array, Array], tuple[Array, ...]]:
         """Return what gives them from all that was added, at its steps again, piece by piece: (m,)
         not low-passed, the variance that of the followed orders alone.
 
@@ -215,9 +215,8 @@ class PowerUp:
         state["waves"] = 0.0
         none = np.zeros(0, np.bool_), np.zeros((0, 0)), np.zeros((0, 3))
 
-        def piece(angle: Array, torque: Array) -> tuple[Array, Array, Array]:
-            ripple, variance, less, *_ = self._followed(state, angle, torque, *none)
-            return ripple, variance, less
+        def piece(angle: Array, torque: Array) -> tuple[Array, ...]:
+            return self._followed(state, angle, torque, *none)[:3]
 
         return piece
 
