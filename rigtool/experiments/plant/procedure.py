@@ -35,6 +35,7 @@ from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at, warmed
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import rising_steps
+from rigtool.numerics.plateaus import runs_of
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig
@@ -189,13 +190,12 @@ def _period_starts(steps: Array, step: float, settle: int, period: int) -> list[
     shorter by these two.
     """
     constant = np.abs(steps - step) < 1e-4 * abs(step)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], constant, [False]]).astype(np.int8)))
     starts: list[int] = []
-    for first, stop in edges.reshape(-1, 2):
+    for first, stop in runs_of(constant):
         count = (stop - first - settle + EDGE_STEPS) // period
         free = stop - first - count * period
         last = stop - max(0, min(free // 2, free - settle))
-        starts += [int(last) - k * period for k in range(count, 0, -1)]
+        starts += [last - k * period for k in range(count, 0, -1)]
     return starts
 
 
