@@ -57,13 +57,12 @@ def sensor_header(
     come from. Raises `ValueError` for samples further apart than those of the equations, for an
     output without inertia, and numbers that are not finite.
     """
-    grid, model = instrument.grid, instrument.model
-    if not grid.immediate:
+    model, plant = instrument.model, instrument.plant
+    if not instrument.grid.immediate:
         raise ValueError(
             f"angles between the samples of a loop of {1 / instrument.interval:.4g} Hz come from "
             f"later ones, above {1 / LONGEST_EXACT:.0f} Hz they do not"
         )
-    plant = model.plant(grid.sample_time)
     if plant.grasper_inertia <= 0:
         raise ValueError(
             f"inertia of the output {plant.grasper_inertia:g} kg m2: the equations in C need one"
@@ -117,7 +116,7 @@ def _steps(instrument: SensorProperties) -> dict[str, int]:
         "LATE_ROWS": ripple_rows.late_rows(step_time),
         "SPREAD_STEPS": ripple_rows.SPREAD_STEPS,
         "ROTOR_CELLS": len(model.drive.rotor_map) - 1,
-        "HOUSING_CELLS": len(model.plant(grid.sample_time).friction_map) - 1,
+        "HOUSING_CELLS": len(instrument.plant.friction_map) - 1,
     }
 
 
@@ -127,8 +126,7 @@ def _within(span: float, step_time: float) -> int:
 
 
 def _drive(instrument: SensorProperties) -> dict[str, Number]:
-    grid, model = instrument.grid, instrument.model
-    plant = model.plant(grid.sample_time)
+    grid, model, plant = instrument.grid, instrument.model, instrument.plant
     constant, slope = instrument.torque_constant
     turn = round(2 * math.pi / instrument.count)
     equations = {

@@ -17,12 +17,12 @@ counts behind are taken as they are.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
 from rigtool.experiments.force_filter.motion_states import FASTEST_LEARNED_RATIO
-from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.arrays import Array, Mask, joined
 
 LEAP_RATIO, LEAP_COUNTS = 5.0, 5.0
 """A change of the step that is a leap: in the highest speed that was learned, and the fewest
@@ -48,12 +48,12 @@ class Leaps:
     put_back: Mask
 
     def __getitem__(self, which: Mask) -> Leaps:
-        return Leaps(*(getattr(self, field.name)[which] for field in fields(self)))
+        return Leaps(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
 
     @classmethod
     def joined(cls, parts: Sequence[Leaps]) -> Leaps:
         """Return parts (one at least) one behind the other."""
-        return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
+        return cls(*joined(parts, *cls.__dataclass_fields__))
 
 
 class Counts:

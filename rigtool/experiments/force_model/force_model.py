@@ -49,12 +49,7 @@ class ForceModel:
     @cached_property
     def uncertainty(self) -> Uncertainty:
         """Standard deviations of the errors of the equations."""
-        own, learned = self.deviations, self.learned
-        per_load = sum(
-            float(coefficient)
-            for term, coefficient in zip(learned.terms, learned.coefficient, strict=True)
-            if term.kind is Kind.LOAD_FRICTION and term.order == 0
-        )
+        own, per_load = self.deviations, self.learned.total(Kind.LOAD_FRICTION)
         relative = own.load / per_load if per_load > 0 else 0.0
         return Uncertainty(own.stroke, relative, own.noise, own.noise_time)
 

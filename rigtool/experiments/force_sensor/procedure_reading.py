@@ -68,13 +68,12 @@ def instrument_of(
     rig = recipe.rig
     cold = torque_per_ampere_at(kt, 0.0).value
     slope = torque_per_ampere_at(kt, 1.0).value - cold
-    count = 2 * math.pi / rig.encoder_counts
     return SensorProperties(
         model,
         reach,
         interval,
         rig.sample_time,
-        count,
+        rig.count_angle,
         (cold, slope),
         rig.current_limit,
         recipe.measure_force.motion.corner_hz,

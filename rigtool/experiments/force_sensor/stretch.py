@@ -325,7 +325,7 @@ class Stretch:
         rows, N m, and what of their u^2 is by that ripple, N2 m2."""
         instrument, every = self._instrument, self._every
         torque, angle, less = (self._taken(name) for name in ("torque", "angle", "less"))
-        factor = instrument.model.plant(instrument.grid.sample_time).torque_factor
+        factor = instrument.plant.torque_factor
         again, added, variances = self._sensor.power_up.again(), [], []
         for first in range(0, len(torque), PIECE_STEPS):
             part = slice(first, first + PIECE_STEPS)
