@@ -10,9 +10,12 @@ from io import BufferedReader
 
 from rigtool.errors import RigtoolError, refusal
 
+PathName = str | os.PathLike[str]
+"""Type of a file's name, as text or as a path."""
+
 
 @contextmanager
-def reading(path: str | os.PathLike[str], kind: type[RigtoolError]) -> Iterator[None]:
+def reading(path: PathName, kind: type[RigtoolError]) -> Iterator[None]:
     """Turn what the system refuses about an input into an error of a `kind`, with a remedy."""
     try:
         yield
@@ -26,7 +29,7 @@ def reading(path: str | os.PathLike[str], kind: type[RigtoolError]) -> Iterator[
         raise kind(f"{path!r}: holds a NUL, as no file's name does: correct it") from None
 
 
-def is_recipe(path: str | os.PathLike[str]) -> bool:
+def is_recipe(path: PathName) -> bool:
     """Return whether a source is a recipe: by its name, or as a pipe, which no run file can be."""
     try:
         return os.fspath(path).endswith(".toml") or stat.S_ISFIFO(os.stat(path).st_mode)
@@ -36,7 +39,7 @@ def is_recipe(path: str | os.PathLike[str]) -> bool:
 
 @contextmanager
 def open_input(
-    path: str | os.PathLike[str], kind: type[RigtoolError], *, pipe: bool = False
+    path: PathName, kind: type[RigtoolError], *, pipe: bool = False
 ) -> Iterator[BufferedReader]:
     """Open a file for reading; raises an error of a `kind` where the system refuses.
 

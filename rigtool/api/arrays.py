@@ -16,6 +16,7 @@ from rigtool.experiments.procedure import Procedure
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import solvable
 from rigtool.experiments.running.stored import require_inputs, require_nothing_to_measure
+from rigtool.inputs import PathName
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe, load_recipe, override_recipe
 from rigtool.runfile import RecordingSpec, Run, RunWriter
@@ -35,7 +36,7 @@ NOTE = "the signals were given as arrays, not recorded by rigtool"
 def analyse_arrays(
     procedure: Procedure,
     arrays: Mapping[str, Signals],
-    recipe: str | os.PathLike[str] | Recipe,
+    recipe: PathName | Recipe,
     output: str,
     *,
     options: CommonOptions,

@@ -17,9 +17,8 @@ import click
 from rigtool.escapes import terminal
 
 if TYPE_CHECKING:
-    import os
-
     from rigtool.experiments.outcome import Outcome
+    from rigtool.inputs import PathName
     from rigtool.quantity import Quantity
     from rigtool.report.formats import ReportTable
     from rigtool.runfile import Recording, Run, Table
@@ -69,7 +68,7 @@ class Output:
         if not (self.json or self.quiet):
             echo(text, err=True)
 
-    def written(self, path: str | os.PathLike[str], what: str) -> None:
+    def written(self, path: PathName, what: str) -> None:
         """State which file was written, and what it is."""
         self.note(f"Written: {path}: {what}")
 
@@ -101,7 +100,7 @@ class Output:
         }
         return json.dumps(_strict(document), indent=2, allow_nan=False)
 
-    def run(self, run: Run, output: str | os.PathLike[str] | None) -> None:
+    def run(self, run: Run, output: PathName | None) -> None:
         """Print the JSON document of a run; `output` is its file where this command wrote it."""
         if self.json:
             self.document(**run_document(run, output, tables=self.tables))
@@ -149,9 +148,7 @@ def described(run: Run) -> str:
     return f"run of {run.command}{rig}{recorded}"
 
 
-def run_document(
-    run: Run, output: str | os.PathLike[str] | None, *, tables: bool = True
-) -> dict[str, Any]:
+def run_document(run: Run, output: PathName | None, *, tables: bool = True) -> dict[str, Any]:
     """Return the contents of a run for JSON, the same whichever command prints them."""
     import json
 

@@ -187,7 +187,7 @@ def _checked(
     controlled = farthest = 0.0
     watch = SaturationWatch(recipe, remedy)
     for time, total, modelled, learned, setpoint, encoder in blocks:
-        rotor = encoder * (2 * math.pi / recipe.rig.encoder_counts)
+        rotor = encoder * recipe.rig.count_angle
         controller = total - modelled - learned
         watch.add(time, total, modelled)
         controlled = max(controlled, _largest(controller))
@@ -284,7 +284,7 @@ def encoder_shaking(recipe: Recipe, speed: Array) -> Array:
     """
     rig = recipe.rig
     answer = position_loop(**rig.loop_design).complementary_sensitivity.response
-    step, way = 2 * np.pi / rig.encoder_counts, np.maximum(np.abs(speed), TINY)
+    step, way = rig.count_angle, np.maximum(np.abs(speed), TINY)
     noise = step * _speed_of_noise(**rig.loop_design) / way
     edges = np.outer(way / step, np.arange(1, EDGE_HARMONICS + 1))
     seen = edges < 0.5 / rig.sample_time

@@ -25,6 +25,12 @@ KAISER_BETA = 10.0
 """Stop-band attenuation of 100 dB."""
 
 
+def block_means(values: Array, size: int) -> Array:
+    """Return means of `size` values each of (n,): a first, coarse low-pass."""
+    count = len(values) // size
+    return values[: count * size].reshape(count, size).mean(axis=1)
+
+
 class Decimator:
     """Decimates several signals of `samples` each by `factor`, block by block."""
 

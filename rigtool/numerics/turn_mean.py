@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.numerics.arrays import Array
+from rigtool.numerics.plateaus import group_numbers
 
 SAME_ANGLE = 0.02
 """Angles closer than this count as one, rad."""
@@ -41,10 +42,7 @@ def group_angles(angle: Array) -> tuple[Array, NDArray[np.int64]]:
     """
     known = np.where(np.isnan(angle), 0.0, np.mod(angle, 2 * np.pi))
     known = np.where(known > 2 * np.pi - SAME_ANGLE / 2, known - 2 * np.pi, known)
-    order = np.argsort(known, kind="stable")
-    starts = np.diff(known[order], prepend=-np.inf) > SAME_ANGLE
-    index = np.empty(len(known), dtype=np.int64)
-    index[order] = np.cumsum(starts) - 1
+    index = group_numbers(known, SAME_ANGLE)
     return np.bincount(index, weights=known) / np.bincount(index), index
 
 

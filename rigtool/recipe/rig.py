@@ -155,6 +155,15 @@ class RigDescription(Section):
         return {**self.controller.model_dump(), **own}
 
     @property
+    def count_angle(self) -> float:
+        """Angle of the motor from one count of the encoder to the next, rad."""
+        return 2 * math.pi / self.encoder_counts
+
+    def motor_speed(self, rev_per_s: float) -> float:
+        """Return the motor's speed, rad/s, for one of the output, rev/s."""
+        return 2 * math.pi * rev_per_s * self.angle_ratio
+
+    @property
     def angle_ratio(self) -> float:
         """Motor angle per output angle: 1 for the bare pulley."""
         return self.instrument.angle_ratio if self.attachment == "instrument" else 1.0

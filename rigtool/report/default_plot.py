@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError, UsageError, did_you_mean
 from rigtool.escapes import figure as figure_text
+from rigtool.inputs import PathName
 from rigtool.quantity import display_unit
 from rigtool.report.figures import PLOTS, style
 from rigtool.runfile import Recording, Run, Table
@@ -31,9 +31,7 @@ ROW_AXIS = "row"
 _MOST_MARKS = 100
 
 
-def write_plot(
-    run: Run, output: str | os.PathLike[str], name: str | None = None, *, overwrite: bool
-) -> str:
+def write_plot(run: Run, output: PathName, name: str | None = None, *, overwrite: bool) -> str:
     """Draw a part of a run into a file; return the name of the part.
 
     `name` is one of `plot_names`, or the bare name of a table or recording; None is the default.

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from rigtool.errors import UsageError, refusal
+from rigtool.inputs import PathName
 from rigtool.report.build import Report
 from rigtool.report.formats import csv_table, latex_table, markdown_table, terminal_table
 from rigtool.report.page import render_page, render_pdf
@@ -22,10 +23,10 @@ def terminal_text(report: Report) -> str:
 
 
 def require_free(
-    output: str | os.PathLike[str],
+    output: PathName,
     *,
     overwrite: bool,
-    inputs: Iterable[str | os.PathLike[str]] = (),
+    inputs: Iterable[PathName] = (),
 ) -> Path:
     """Return the folder to write as an absolute path.
 
@@ -55,9 +56,7 @@ def require_free(
     return target
 
 
-def write_report(
-    report: Report, output: str | os.PathLike[str], *, overwrite: bool, pdf: bool = False
-) -> None:
+def write_report(report: Report, output: PathName, *, overwrite: bool, pdf: bool = False) -> None:
     """Write all files beside the folder, then put them in its place in one step.
 
     Raises `UsageError` as `require_free`, `RigtoolError` where the disk refuses.

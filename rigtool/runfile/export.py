@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ import numpy as np
 
 from rigtool.errors import RunFileError, UsageError, did_you_mean
 from rigtool.escapes import csv_text
+from rigtool.inputs import PathName
 from rigtool.quantity import Quantity
 from rigtool.runfile import schema
 from rigtool.runfile.model import Table
@@ -38,7 +38,7 @@ _MAT_LIMIT = 2**31
 """Bytes of a variable in a MATLAB file of version 5."""
 
 
-def export(run: Run, output: str | os.PathLike[str], part: str | None, overwrite: bool) -> None:
+def export(run: Run, output: PathName, part: str | None, overwrite: bool) -> None:
     """Write a run in the format that the name of `output` ends with: .csv, .parquet, .mat or .nc.
 
     `part` selects the contents of a .csv or .parquet: `results`, `recordings/NAME` or

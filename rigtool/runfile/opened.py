@@ -15,7 +15,7 @@ from typing import ClassVar
 import h5py
 
 from rigtool.errors import RigtoolError, RunFileError
-from rigtool.inputs import open_input
+from rigtool.inputs import PathName, open_input
 from rigtool.runfile import schema, tree
 from rigtool.runfile.storage import open_file
 
@@ -58,7 +58,7 @@ class SharedFile:
     _lock = threading.RLock()
     _in_use: ClassVar[dict[SharedFile, h5py.File]] = {}
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: PathName) -> None:
         self._path = path
         self._identity: tuple[int, ...] | None = None
         self._closed = False
@@ -100,7 +100,7 @@ def _identity(file: h5py.File) -> tuple[int, ...]:
     return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
 
 
-def open_hdf5(path: str | os.PathLike[str]) -> h5py.File:
+def open_hdf5(path: PathName) -> h5py.File:
     """Open an HDF5 file for reading only; raises `RunFileError` with the reason."""
     path = Path(path)
     require_file(path)
@@ -135,7 +135,7 @@ def require_file(path: Path) -> None:
     raise RunFileError(f"{path}: {what}; give a run file (.h5) that a rigtool command wrote{hint}")
 
 
-def require_schema(file: h5py.File, path: str | os.PathLike[str]) -> None:
+def require_schema(file: h5py.File, path: PathName) -> None:
     """Raise `RunFileError` unless the file is a run file of a version that this rigtool reads."""
     if tree.root_text(file, "schema") != schema.SCHEMA:
         raise RunFileError(
@@ -170,7 +170,7 @@ def _open_problem(path: Path, reason: str) -> str:
 
 
 @contextmanager
-def guard(path: str | os.PathLike[str], what: str) -> Iterator[None]:
+def guard(path: PathName, what: str) -> Iterator[None]:
     """Turn any exception of h5py about a damaged file into `RunFileError`."""
     try:
         yield

@@ -20,6 +20,7 @@ from pathlib import Path
 
 from rigtool.errors import UsageError
 from rigtool.escapes import is_text
+from rigtool.inputs import PathName
 from rigtool.runfile.storage import storage_errors
 
 MAX_NAME = 250
@@ -43,9 +44,7 @@ _HOST = _computer()
 _OURS = re.compile(rf"\.rigtool-{_HOST}-(\d+)-[0-9a-f]{{8}}")
 
 
-def require_output(
-    path: str | os.PathLike[str], *, overwrite: bool, inputs: Iterable[str | os.PathLike[str]] = ()
-) -> Path:
+def require_output(path: PathName, *, overwrite: bool, inputs: Iterable[PathName] = ()) -> Path:
     """Return the file to write, links followed; nothing is changed yet.
 
     Raises `UsageError` where the folder is missing or cannot be written, where `path` is a folder,
@@ -73,7 +72,7 @@ def require_output(
     return found
 
 
-def require_place(path: str | os.PathLike[str], found: Path) -> None:
+def require_place(path: PathName, found: Path) -> None:
     """Raise `UsageError` where nothing can be written at `found`, which the user calls `path`.
 
     Its folder is missing or cannot be written, or its name leaves no room for `.part`.

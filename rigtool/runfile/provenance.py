@@ -23,7 +23,7 @@ from typing import Any
 import h5py
 
 from rigtool.errors import RigtoolError, RunFileError
-from rigtool.inputs import open_input
+from rigtool.inputs import PathName, open_input
 from rigtool.runfile import schema, tree
 from rigtool.runfile.objects import make_group, make_text
 
@@ -184,7 +184,7 @@ def record_sha256(root: tree.Group, content: str) -> str:
     return hashlib.sha256(content.encode() + _describe(group, hashes)).hexdigest()
 
 
-def file_sha256(path: str | os.PathLike[str]) -> str:
+def file_sha256(path: PathName) -> str:
     """Hash a file byte by byte; raises `RunFileError` where it cannot be read, or is a device."""
     with open_input(path, RunFileError) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()

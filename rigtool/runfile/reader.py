@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import math
-import os
 from collections.abc import Mapping
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from rigtool.errors import RigtoolError, RunFileError
+from rigtool.inputs import PathName
 from rigtool.quantity import Component, Quantity
 from rigtool.runfile import provenance, schema, tree
 from rigtool.runfile.model import Column, Table, description_of
@@ -34,9 +34,7 @@ _log = logging.getLogger("rigtool")
 class Run:
     """An open run file; use as a context manager. Made by `open_run`."""
 
-    def __init__(
-        self, file: OpenFile | SharedFile, root: tree.Group, path: str | os.PathLike[str]
-    ) -> None:
+    def __init__(self, file: OpenFile | SharedFile, root: tree.Group, path: PathName) -> None:
         self._file = file
         self.path = Path(path)
         entry = root.group(schema.ENTRY)
@@ -196,7 +194,7 @@ class Run:
         self.close()
 
 
-def open_run(path: str | os.PathLike[str]) -> Run:
+def open_run(path: PathName) -> Run:
     """Open a run file and check it; raises `RunFileError` with the fault and a remedy.
 
     Schema version, structure, and the hashes of everything but the samples of signals are checked
@@ -216,9 +214,7 @@ def open_run(path: str | os.PathLike[str]) -> Run:
         raise
 
 
-def _require_hashes(
-    root: tree.Group, stored: Mapping[str, Any], path: str | os.PathLike[str]
-) -> None:
+def _require_hashes(root: tree.Group, stored: Mapping[str, Any], path: PathName) -> None:
     if "record_sha256" not in stored:
         raise RunFileError(
             f"{path}: the run was never finished; `rigtool recover {path}` brings back what it "

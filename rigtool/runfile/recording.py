@@ -5,7 +5,6 @@ Checksums of samples (fletcher32) are verified by HDF5; any fault raises `RunFil
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError
+from rigtool.inputs import PathName
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import HOTTEST_DEGC, Quantity
 from rigtool.runfile import schema, tree
@@ -42,9 +42,7 @@ class Recording:
     counts.
     """
 
-    def __init__(
-        self, file: OpenFile | SharedFile, group: tree.Group, path: str | os.PathLike[str]
-    ) -> None:
+    def __init__(self, file: OpenFile | SharedFile, group: tree.Group, path: PathName) -> None:
         self._file = file
         self._group = group
         self._path = Path(path)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError, UsageError
+from rigtool.inputs import PathName
 from rigtool.runfile import schema, tree
 from rigtool.runfile.model import RecordingSpec
 from rigtool.runfile.opened import OpenFile, guard, open_hdf5, require_file, require_schema
@@ -30,8 +31,8 @@ class Recovered:
 
 
 def recover(
-    part: str | os.PathLike[str],
-    output: str | os.PathLike[str] | None = None,
+    part: PathName,
+    output: PathName | None = None,
     *,
     overwrite: bool = False,
 ) -> Recovered:

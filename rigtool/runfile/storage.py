@@ -20,6 +20,7 @@ from typing import Any, BinaryIO
 import h5py
 
 from rigtool.errors import RigtoolError, UsageError, refusal
+from rigtool.inputs import PathName
 
 _ERRNO = re.compile(r"errno = (\d+)")
 
@@ -51,7 +52,7 @@ def reserve(handle: int, size: int) -> None:
             raise
 
 
-def open_file(path: str | os.PathLike[str], mode: str, **options: Any) -> h5py.File:
+def open_file(path: PathName, mode: str, **options: Any) -> h5py.File:
     """Open an HDF5 file, locked against writers; without a lock where the file system has none."""
     try:
         return h5py.File(path, mode, locking="best-effort", **options)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rigtool.errors import RigtoolError
+from rigtool.inputs import PathName
 from rigtool.runfile import provenance
 from rigtool.runfile.reader import Run, open_run
 from rigtool.runfile.recording import BLOCK_SAMPLES, Recording
@@ -25,7 +26,7 @@ class ChainLink:
     remark: str | None = None
 
 
-def verify(path: str | os.PathLike[str]) -> list[ChainLink]:
+def verify(path: PathName) -> list[ChainLink]:
     """Check a run file and, through its inputs, everything that it was made from.
 
     A file is whole if its hashes fit its content and the samples of each signal fit theirs. A link

@@ -19,6 +19,7 @@ import h5py
 from numpy.typing import NDArray
 
 from rigtool.errors import RigtoolError, UsageError
+from rigtool.inputs import PathName
 from rigtool.interrupts import held, raise_swallowed
 from rigtool.quantity import Quantity
 from rigtool.runfile import layout, provenance, schema, storage, tree
@@ -55,7 +56,7 @@ class RunWriter:
 
     def __init__(
         self,
-        path: str | os.PathLike[str],
+        path: PathName,
         *,
         command: str,
         recipe: Recipe | None = None,
@@ -69,7 +70,7 @@ class RunWriter:
         rig: str | None = None,
         source: provenance.Source | None = None,
         copied: bool = False,
-        sources: Sequence[str | os.PathLike[str]] = (),
+        sources: Sequence[PathName] = (),
     ) -> None:
         self.path = Path(path)
         self._overwrite = overwrite
@@ -198,7 +199,7 @@ class RunWriter:
                 self.part.unlink()
                 storage.sync_path(self.path.parent)
 
-    def _require_free(self, inputs: Sequence[str | os.PathLike[str]]) -> None:
+    def _require_free(self, inputs: Sequence[PathName]) -> None:
         """Refuse an output, or a part beside it, that would be lost."""
         self.path = require_output(self.path, overwrite=self._overwrite, inputs=inputs)
         if self.path.suffix == ".toml":

@@ -155,7 +155,19 @@ struct rs_model {
     rs_real level_kept, swing_grows, swing_falls, least_swing, swing_taken;
 };
 
+#ifdef __GNUC__ /* numbers of 17 digits are rounded on purpose */
+#pragma GCC diagnostic push
+#ifdef __clang__
+#pragma GCC diagnostic ignored "-Wimplicit-float-conversion"
+#else
+#pragma GCC diagnostic ignored "-Wfloat-conversion"
+#endif
+#endif
+
 @DATA@
+#ifdef __GNUC__
+#pragma GCC diagnostic pop
+#endif
 
 /* A wave as the filter's torque shows it, and what the other states are then off by. */
 struct rs_shown {
@@ -185,8 +197,7 @@ struct rs_filter {
 struct rigtool_sensor {
     /* samples until they are one of the equations */
     int collected, limited, limited_before, heard, last_limited;
-    struct rigtool_sensor_sample last, known;
-    int holds; /* for how many samples the known one */
+    struct rigtool_sensor_sample last;
     int32_t encoder; /* counts, of now */
     rs_real current, current_before, temperature, temperature_before;
     /* x, and its covariance as U diag(d) U'; rows of U that move are those of now within a step.
@@ -224,6 +235,11 @@ struct rigtool_sensor {
     int rested, swung;
     rs_real level_torque, swing; /* mean of the torque, median of how far it is away, squared */
     struct rigtool_sensor_reading reading;
+    /* what holds until samples are missing, first: the sample that holds, and for how many */
+    struct rigtool_sensor_sample known;
+    int holds;
+    int32_t read, usual; /* count of the sample before, and the step to it, without a leap */
+    int reads, unchanged; /* samples, two at most; without a count, until they are a rest */
     /* what holds until the power is cut, first: counts that are taken off what is read */
     int32_t lost;
     int followed; /* the ripple, since a begin */
@@ -1642,10 +1658,10 @@ static inline int rs_read(struct rigtool_sensor *s)
 
 /* -- the interface ----------------------------------------------------------------------------- */
 
-/* Begin anew behind a gap: until the power is cut, ripple stays what it is. */
-static inline void rs_restart(struct rigtool_sensor *s)
+/* Begin anew, but for what lies behind some bytes. */
+static inline void rs_anew(struct rigtool_sensor *s, size_t bytes)
 {
-    memset(s, 0, offsetof(struct rigtool_sensor, lost));
+    memset(s, 0, bytes);
     s->limit_left = RS_LIMIT_STEPS + 1; /* until the filter has found the motion */
     s->reading.torque = s->reading.u = s->reading.low = s->reading.high = (rs_real)NAN;
 }
@@ -1653,8 +1669,13 @@ static inline void rs_restart(struct rigtool_sensor *s)
 /* Begin, or begin anew: nothing is known of what was before. */
 static inline void rigtool_sensor_init(struct rigtool_sensor *s)
 {
-    memset(s, 0, sizeof *s);
-    rs_restart(s);
+    rs_anew(s, sizeof *s);
+}
+
+/* Samples are missing before the next one: until the power is cut, ripple stays what it is. */
+static inline void rigtool_sensor_gap(struct rigtool_sensor *s)
+{
+    rs_anew(s, offsetof(struct rigtool_sensor, lost));
 }
 
 /* Expect of what acts, and of a stroke, what is expected before any row. */
@@ -1759,22 +1780,39 @@ static inline void rs_earlier(
     s->heard = 1;
 }
 
-/* Put back what the count leaps by; whether the filter begins anew, after a rest, in which the
- * encoder may have stopped: experiments/force_filter/lost_counts.py. */
-static inline int rs_put_back(struct rigtool_sensor *s)
+/* Whether no rotor moves by that from one sample to the next. */
+static inline int rs_leaps(int32_t counts)
 {
-    const rs_real usual = s->x[RS_SPEED] * (rs_model.step_time / rs_model.count);
-    const int32_t steps = (int32_t)rs_within(usual, (rs_real)1e9);
-    const int32_t leap = rs_from(rs_from(s->encoder, s->counted), steps), before = s->lost;
-    if ((uint32_t)leap + RS_LEAP <= 2u * RS_LEAP) /* a motion, faster than any that was learned */
+    return (uint32_t)counts + RS_LEAP > 2u * RS_LEAP;
+}
+
+/* Put back what a count leaps by; whether it came after a rest instead, in which the encoder may
+ * have stopped: experiments/force_filter/lost_counts.py. */
+static inline int rs_put_back(struct rigtool_sensor *s, int32_t read)
+{
+    const int32_t step = rs_from(read, s->read), more = rs_from(step, s->usual);
+    int32_t leap = more;
+    int wrapped = 0, bit;
+    s->read = read;
+    s->unchanged += s->unchanged <= RS_COUNTING_SAMPLES;
+    if (s->reads < 2 || !rs_leaps(step) || !rs_leaps(more)) {
+        if (step != 0 || s->reads == 0)
+            s->unchanged = 0;
+        s->usual = step;
+        s->reads += s->reads < 2;
         return 0;
-    if (s->rested_up >= RS_COUNTING_STEPS && s->rested_down >= RS_COUNTING_STEPS) {
-        rigtool_sensor_init(s);
-        s->lost = before;
-        return 1;
     }
-    s->encoder = rs_from(s->encoder, leap);
-    s->lost = rs_from(before, rs_from(0, leap));
+    for (bit = 14; bit < 31; bit++) { /* where counters wrap: at a turn, or 2^15 and more */
+        const int32_t wraps = bit == 14 ? rs_model.turn : (int32_t)1 << bit;
+        const int32_t signed_wraps = more < 0 ? -wraps : wraps;
+        if (wraps / 4 < RS_LEAP || rs_leaps(rs_from(more, signed_wraps)))
+            continue;
+        leap = signed_wraps;
+        wrapped = 1;
+    }
+    if (!wrapped && s->unchanged > RS_COUNTING_SAMPLES)
+        return 1;
+    s->lost = rs_from(s->lost, rs_from(0, leap));
     return 0;
 }
 
@@ -1792,7 +1830,7 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
     if (!(RS_MATH(fabs)(sample.temperature) <= rs_model.farthest)
         || (limited && !rs_finite(sample.current))) {
         if (s->holds == 0) {
-            rs_restart(s);
+            rigtool_sensor_gap(s);
             return &s->reading;
         }
         s->holds--;
@@ -1803,6 +1841,8 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
         s->known = sample;
         s->holds = RS_HELD;
     }
+    if (rs_put_back(s, sample.encoder))
+        rs_anew(s, offsetof(struct rigtool_sensor, known));
     if (s->collected == RS_AVERAGED / 2) /* angles belong to the middle of what is averaged */
         s->encoder = rs_from(sample.encoder, s->lost);
     if (s->collected == 0) {
@@ -1825,8 +1865,6 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
     none = RS_MATH(fabs)(s->current) <= rs_model.no_current;
     if (s->samples == RS_STEP_SAMPLES) {
         s->samples = 0;
-        if ((uint32_t)rs_from(s->encoder, s->counted) + RS_LEAP > 2u * RS_LEAP && rs_put_back(s))
-            return &s->reading;
         if (!none || !s->none_before)
             s->none_steps = 0;
         else if (s->none_steps < RS_IDLE_STEPS)

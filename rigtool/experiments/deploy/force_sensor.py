@@ -57,13 +57,12 @@ def sensor_header(
     come from. Raises `ValueError` for samples further apart than those of the equations, for an
     output without inertia, and numbers that are not finite.
     """
-    grid, model = instrument.grid, instrument.model
-    if not grid.immediate:
+    model, plant = instrument.model, instrument.plant
+    if not instrument.grid.immediate:
         raise ValueError(
             f"angles between the samples of a loop of {1 / instrument.interval:.4g} Hz come from "
             f"later ones, above {1 / LONGEST_EXACT:.0f} Hz they do not"
         )
-    plant = model.plant(grid.sample_time)
     if plant.grasper_inertia <= 0:
         raise ValueError(
             f"inertia of the output {plant.grasper_inertia:g} kg m2: the equations in C need one"
@@ -105,8 +104,8 @@ def _steps(instrument: SensorProperties) -> dict[str, int]:
         "SPEED_STEPS": _within(motion_states.SPEED_TIME, step_time) - 1,
         "IDLE_STEPS": idle_steps(step_time),
         "HELD": held_samples(instrument.interval),
-        "LEAP": int(min(_leap(instrument), INT32 // 2)),
-        "COUNTING_STEPS": creeping.steps_of(lost_counts.COUNTING_TIME, step_time),
+        "LEAP": int(min(instrument.counts().largest_step, INT32 // 4)),
+        "COUNTING_SAMPLES": int(lost_counts.COUNTING_TIME / instrument.interval),
         "RESTED_STEPS": creeping.steps_of(creeping.RESTED_TIME, step_time),
         "SWUNG_STEPS": creeping.steps_of(creeping.LASTING_TIME, step_time),
         "BUSY_STEPS": int(kalman.lasting_steps(model.uncertainty.busy_time, step_time)),
@@ -117,7 +116,7 @@ def _steps(instrument: SensorProperties) -> dict[str, int]:
         "LATE_ROWS": ripple_rows.late_rows(step_time),
         "SPREAD_STEPS": ripple_rows.SPREAD_STEPS,
         "ROTOR_CELLS": len(model.drive.rotor_map) - 1,
-        "HOUSING_CELLS": len(model.plant(grid.sample_time).friction_map) - 1,
+        "HOUSING_CELLS": len(instrument.plant.friction_map) - 1,
     }
 
 
@@ -126,15 +125,8 @@ def _within(span: float, step_time: float) -> int:
     return 2 * max(1, round(span / step_time / 2)) + 1
 
 
-def _leap(instrument: SensorProperties) -> float:
-    """Return the counts that no rotor moves by in a step."""
-    own = instrument.count, instrument.reach.speed, instrument.grid.step_time
-    return lost_counts.Counts(*own).largest_step
-
-
 def _drive(instrument: SensorProperties) -> dict[str, Number]:
-    grid, model = instrument.grid, instrument.model
-    plant = model.plant(grid.sample_time)
+    grid, model, plant = instrument.grid, instrument.model, instrument.plant
     constant, slope = instrument.torque_constant
     turn = round(2 * math.pi / instrument.count)
     equations = {

@@ -16,6 +16,7 @@ import numpy as np
 from rigtool.experiments.force.results import LOAD_COLUMNS, LoadRow, loads_table
 from rigtool.experiments.imported_load.basis import LoadSignals
 from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.plateaus import runs_of
 from rigtool.quantity import Quantity
 from rigtool.runfile import Table
 
@@ -46,8 +47,7 @@ def read_strokes(items: Sequence[tuple[LoadSignals, Array, Mask]]) -> list[Strok
     """
     found = []
     for *_, fast in items:
-        edges = np.flatnonzero(np.diff(fast.astype(int), prepend=0, append=0))
-        found.append([slice(a, b) for a, b in edges.reshape(-1, 2) if b - a > 2])
+        found.append([slice(a, b) for a, b in runs_of(fast) if b - a > 2])
     places = [
         own.place[part] for (own, *_), parts in zip(items, found, strict=True) for part in parts
     ]

@@ -126,7 +126,7 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run, tables: R
 def strokes(recipe: Recipe, cycles: int) -> Triangle:
     """Return the motion that lifts and lowers a load."""
     settings, ratio = recipe.measure_force, recipe.rig.angle_ratio
-    speed = 2 * math.pi * settings.speed_rev_per_s * ratio
+    speed = recipe.rig.motor_speed(settings.speed_rev_per_s)
     return Triangle.of_output(settings.angle, settings.turn_angle, ratio, speed, cycles)
 
 
@@ -326,11 +326,11 @@ def _table_u(tables: Run, recipe: Recipe) -> float:
 
     At the rising row whose speed is closest to that of the measurement.
     """
-    settings, ratio = recipe.measure_force, recipe.rig.angle_ratio
+    settings = recipe.measure_force
     lookup = tables.table("lookup", "speed", "position", u="N m")
-    speed = 2 * math.pi * settings.speed_rev_per_s * ratio
+    speed = recipe.rig.motor_speed(settings.speed_rev_per_s)
     row = int(np.argmin(np.abs(lookup["speed"] - speed)))
-    angle = math.radians(settings.measure_angle) * ratio
+    angle = math.radians(settings.measure_angle) * recipe.rig.angle_ratio
     return float(np.interp(angle, lookup["position"], lookup["u"][row]))
 
 

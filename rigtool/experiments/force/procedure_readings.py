@@ -50,7 +50,7 @@ def read_load(
         modelled *= rig.torque_factor
         cycles = find_cycles(position)
         require_no_turning_back(way, rig.encoder_counts)
-        angle = position * (2 * math.pi / rig.encoder_counts) / rig.angle_ratio
+        angle = position * rig.count_angle / rig.angle_ratio
         method = (
             lacking,
             unsteady_torque(angle, torque, modelled, rate=rate, cycles=cycles, recipe=recipe),
@@ -81,7 +81,7 @@ def _filtered(recording: Recording, recipe: Recipe) -> tuple[Array, float, Array
     rate = 1 / require_rising(recording.read("time", 0, min(recording.size, RATE_SAMPLES)))
     last, samples = np.zeros(0), 0
     collected = Decimator(factor := kept_factor(rate, cutoff), 4, recording.size)
-    speed = 2 * math.pi * recipe.measure_force.speed_rev_per_s * recipe.rig.angle_ratio
+    speed = recipe.rig.motor_speed(recipe.measure_force.speed_rev_per_s)
     way = np.zeros(2)
     for block in loop_blocks(recording, recipe):
         rising_steps(np.concatenate([last, block.time]), samples - last.size)

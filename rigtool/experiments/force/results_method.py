@@ -77,7 +77,7 @@ def lacking_torque(
     Raises `InsufficientDataError` where that is too much against the largest of the `forces`, N.
     """
     rig, settings = recipe.rig, recipe.measure_force
-    speed = 2 * math.pi * settings.speed_rev_per_s * rig.angle_ratio
+    speed = rig.motor_speed(settings.speed_rev_per_s)
     current = UnsampledCurrent.of([run]).at(speed)
     lacking = abs(rig.torque_factor * torque_constant * current)
     angle = math.radians(settings.measure_angle)

@@ -8,10 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.motion_states import State, States
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, Mask
 
 COVERAGE_FACTOR = 1.96
 """Coverage factor of a 95 % interval, normal distribution (GUM 6.2.2)."""
@@ -33,7 +32,7 @@ class Accuracy:
     coverage: float
 
 
-def accuracy(error: Array, covered: NDArray[np.bool_], among: NDArray[np.bool_]) -> Accuracy:
+def accuracy(error: Array, covered: Mask, among: Mask) -> Accuracy:
     """Return the accuracy of the samples `among` all; `error` N m is NaN without a value; (n,)."""
     valid = np.isfinite(error)
     chosen = among & valid
@@ -50,7 +49,7 @@ def accuracy(error: Array, covered: NDArray[np.bool_], among: NDArray[np.bool_])
 
 def by_band_and_state(
     error: Array,
-    covered: NDArray[np.bool_],
+    covered: Mask,
     reference: Array,
     states: States,
     largest: float,

@@ -80,5 +80,4 @@ def interpolated(encoder: Array, place: Array) -> Array:
     turned = np.tile(turned, 2) + 1
     known = np.insert(known, turned, np.concatenate([stopped, middle]))
     angle = np.insert(angle, turned, held)
-    found: Array = PchipInterpolator(known, angle)(place)
-    return found
+    return PchipInterpolator(known, angle)(place)

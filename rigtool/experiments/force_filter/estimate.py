@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rigtool.experiments.force_filter import kalman, passed, smoother
 from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_filter.plant import STATES, TORQUE, Plant, as_record
-from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.arrays import Array, Mask, joined
 
 PIECE_STEPS = 8192
 """Steps that are filtered at a time where the smoother keeps what the filter did."""
@@ -90,18 +90,12 @@ class Estimate:
         """Return estimates that follow one another as one, without what the smoother needs."""
         if len(parts) == 1:
             return parts[0]
-        return cls(
-            np.concatenate([part.states for part in parts]),
-            np.concatenate([part.outputs for part in parts]),
-            np.concatenate([part.low for part in parts]),
-            np.concatenate([part.idle for part in parts]),
-        )
+        return cls(*joined(parts, "states", "outputs", "low", "idle"))
 
     @property
     def torque(self) -> Array:
         """Torque on the output, (m,) N m."""
-        torque: Array = self.states[:, TORQUE]
-        return torque
+        return self.states[:, TORQUE]
 
     @property
     def passed(self) -> Array:
@@ -116,8 +110,7 @@ class Estimate:
     @property
     def opened(self) -> Mask:
         """Where the noise of the torque is raised, (m,)."""
-        opened: Mask = self.outputs[:, 2] > 0
-        return opened
+        return self.outputs[:, 2] > 0
 
     @property
     def gains(self) -> Array:
@@ -158,8 +151,7 @@ class Filter:
         """Return the angle after every step that these samples complete, (m,) rad: the middle of
         its count."""
         waiting = 0 if self._waiting is None else self._waiting.low.size
-        ends: Array = signals.low[self._size - waiting :: self._size] + signals.width / 2
-        return ends
+        return signals.low[self._size - waiting :: self._size] + signals.width / 2
 
     def add(
         self,
@@ -222,5 +214,4 @@ class Filter:
         none = idle[size - 1 : count * size : size] & idle[size : count * size + 1 : size]
         lasting = step - np.maximum.accumulate(np.where(none, -self._idle, step))
         self._idle = min(int(lasting[-1]), self._idle_steps)
-        found: Mask = lasting >= self._idle_steps
-        return found
+        return lasting >= self._idle_steps

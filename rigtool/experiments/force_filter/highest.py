@@ -28,5 +28,4 @@ def highest(values: NDArray[Scalar], before: int, after: int) -> NDArray[Scalar]
         found = np.maximum(found[:-width], found[width:])
         width *= 2
     count = len(values)
-    whole: NDArray[Scalar] = np.maximum(found[:count], found[size - width :][:count])
-    return whole
+    return np.maximum(found[:count], found[size - width :][:count])

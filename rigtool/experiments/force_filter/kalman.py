@@ -63,7 +63,7 @@ from rigtool.experiments.force_filter.plant import (
     advance,
 )
 from rigtool.experiments.force_filter.rests import limits_rest
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.compiled import compiled, compiled_allocating
 
 SHORT, LONG = 6e-3, 0.1
@@ -316,7 +316,7 @@ def run(
     viscous: Array,
     low: Array,
     width: float,
-    idle: NDArray[np.bool_],
+    idle: Mask,
     low_pass: Array,
     least: Array,
     means: Array,

@@ -17,12 +17,12 @@ counts behind are taken as they are.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
 from rigtool.experiments.force_filter.motion_states import FASTEST_LEARNED_RATIO
-from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.arrays import Array, Mask, joined
 
 LEAP_RATIO, LEAP_COUNTS = 5.0, 5.0
 """A change of the step that is a leap: in the highest speed that was learned, and the fewest
@@ -48,22 +48,24 @@ class Leaps:
     put_back: Mask
 
     def __getitem__(self, which: Mask) -> Leaps:
-        return Leaps(*(getattr(self, field.name)[which] for field in fields(self)))
+        return Leaps(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
 
     @classmethod
     def joined(cls, parts: Sequence[Leaps]) -> Leaps:
         """Return parts (one at least) one behind the other."""
-        return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
+        return cls(*joined(parts, *cls.__dataclass_fields__))
 
 
 class Counts:
     """Puts counts of `count` rad back, one sample each `interval` s, as they come; `lost` ones are
-    off from the begin on. `speed` rad/s is the highest one that was learned."""
+    off from the begin on. `speed` rad/s is the highest one that was learned. `shown` are the
+    samples of the last block where an encoder that may have stopped leaps to where the rotor is."""
 
     def __init__(self, count: float, speed: float, interval: float, lost: float = 0.0) -> None:
         fastest = FASTEST_LEARNED_RATIO * speed * interval
         self.largest_step = max(LEAP_RATIO * fastest / count, LEAP_COUNTS)
         self.lost = lost
+        self.shown = np.zeros(0, dtype=np.intp)
         self._leaps: list[Leaps] = []
         self._turn = round(2 * np.pi / count)
         self._resting = COUNTING_TIME / interval
@@ -77,6 +79,7 @@ class Counts:
 
     def add(self, encoder: Array) -> Array:
         """Return the counts (n,) with those put back that were lost or added."""
+        self.shown = self.shown[:0]
         if not encoder.size:
             return encoder
         steps = np.diff(encoder, prepend=self._last)
@@ -94,6 +97,7 @@ class Counts:
             own = np.where(wraps > 0, np.copysign(wraps, more), more) * put_back
             found = found - np.bincount(at, own, encoder.size).cumsum()
             self.lost += float(own.sum())
+            self.shown = at[~put_back]
             sample, since = (np.asarray(one + self._seen, dtype=float) for one in (at, since))
             self._leaps.append(Leaps(sample, since, steps[at], wraps, put_back))
         if not leap.all():

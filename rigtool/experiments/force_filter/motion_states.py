@@ -13,7 +13,7 @@ The size of the error also depends on whether a sliding rotor creeps: with less 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.highest import highest
-from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.arrays import Array, Mask, joined
 
 States = NDArray[np.int32]
 Holding = NDArray[np.int8]
@@ -91,14 +91,12 @@ class Reach:
     temperature_degc: tuple[float, float]
     slow: float = 0.0
 
-    def left_by(
-        self, angle: Array, speed: Array, torque: Array, temperature_degc: Array
-    ) -> NDArray[np.bool_]:
+    def left_by(self, angle: Array, speed: Array, torque: Array, temperature_degc: Array) -> Mask:
         """Return where these (m,) are beyond what was learned."""
         low, high = self.angle
         margin = BEYOND_ANGLE * (high - low)
         cold, warm = self.temperature_degc
-        found: NDArray[np.bool_] = (
+        return (
             (angle < low - margin)
             | (angle > high + margin)
             | (np.abs(speed) > FASTEST_LEARNED_RATIO * self.speed)
@@ -106,7 +104,6 @@ class Reach:
             | (temperature_degc < cold)
             | (temperature_degc > warm)
         )
-        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,14 +126,12 @@ class Moments:
 
     def part(self, first: int, last: int | None = None) -> Moments:
         """Return these from step `first` up to `last`."""
-        return Moments(*(getattr(self, field.name)[first:last] for field in fields(self)))
+        return Moments(*(getattr(self, name)[first:last] for name in self.__dataclass_fields__))
 
     @classmethod
     def joined(cls, *parts: Moments) -> Moments:
         """Return the parts one behind the other."""
-        return cls(
-            *(np.concatenate([getattr(p, field.name) for p in parts]) for field in fields(cls))
-        )
+        return cls(*joined(parts, *cls.__dataclass_fields__))
 
 
 class Judged(NamedTuple):
@@ -204,8 +199,7 @@ class Judge:
         `causal`, (m,); before the first step, it has just come."""
         moved = np.diff(low, prepend=[np.nan, low[0]]) != 0
         steps = self.unseen - 1
-        rests: Mask = ~highest(moved, steps, 0 if self.causal else steps)[1:]
-        return rests
+        return ~highest(moved, steps, 0 if self.causal else steps)[1:]
 
     @property
     def crawling(self) -> float:
@@ -223,5 +217,4 @@ class Judge:
         size = len(low)
         after = np.minimum(np.arange(size) + (0 if self.causal else half), size - 1)
         before = np.maximum(np.arange(size) - half * (2 if self.causal else 1), 0)
-        speed: Array = (low[after] - low[before]) / (np.maximum(after - before, 1) * self.step_time)
-        return speed
+        return (low[after] - low[before]) / (np.maximum(after - before, 1) * self.step_time)

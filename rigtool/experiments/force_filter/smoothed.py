@@ -102,8 +102,7 @@ class Again:
         step, first = np.arange(float(len(low))), self._seen[-1, 3] if len(self._seen) else -1.0
         moved = low != np.concatenate([[self._low], low[:-1]])
         self._low = float(low[-1])
-        rested: Array = step - np.maximum.accumulate(np.where(moved, step, -1.0 - first))
-        return rested
+        return step - np.maximum.accumulate(np.where(moved, step, -1.0 - first))
 
     def _least(self) -> Array:
         """Return the lowest levels of the torque's noise at the steps in `_seen`, (m,)."""

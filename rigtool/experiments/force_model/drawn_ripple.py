@@ -92,8 +92,7 @@ def _growth(learned: LearnedModel, mean: Array, square: Array) -> Array:
     kinds = Kind.GAIN_RIPPLE, Kind.SQUARE_RIPPLE
     found = [(sums(learned, kind) @ learned.coefficient).reshape(-1, 2) for kind in kinds]
     along = np.column_stack([np.sum(pairs * one, axis=1) for one in found])
-    growth: Array = np.divide(along, scale[:, None], out=0 * along, where=scale[:, None] > 0)
-    return growth
+    return np.divide(along, scale[:, None], out=0 * along, where=scale[:, None] > 0)
 
 
 def sums(learned: LearnedModel, *kinds: Kind) -> Array:

@@ -127,32 +127,19 @@ def _drive(
 
 def drive_of(model: LearnedModel) -> MotorMap:
     """Return the drive of a learned model."""
-    rotor_map = tabulated(model.terms, model.coefficient)
-    delay = sum(
-        float(value)
-        for term, value in zip(model.terms, model.coefficient, strict=True)
-        if term.kind is Kind.DELAY
-    )
+    rotor_map, delay = tabulated(model.terms, model.coefficient), model.total(Kind.DELAY)
     return MotorMap(rotor_map, model.shape.ripple_time, model.known.offset, delay)
 
 
 def plant_of(model: LearnedModel, sample_time: float) -> Plant:
     """Return the equations of a learned model that a filter runs on, at a sample time, s."""
-    terms, coefficient, shape, known = model.terms, model.coefficient, model.shape, model.known
-    sums = {
-        kind: sum(
-            float(value)
-            for term, value in zip(terms, coefficient, strict=True)
-            if term.kind is kind and term.order == 0
-        )
-        for kind in Kind
-    }
+    shape, known, sums = model.shape, model.known, {kind: model.total(kind) for kind in Kind}
     angle = np.linspace(0.0, 2 * np.pi, MAP_SIZE + 1)
     mean = sums[Kind.HOUSING]
     factor = known.torque_factor / (1.0 + sums[Kind.CARRIED])
     columns = {Kind.HOUSING: (0, 1.0 / mean), Kind.LOAD_FRICTION: (1, factor / known.torque_factor)}
     by_angle = np.tile((1.0, 0.0), (MAP_SIZE + 1, 1))
-    for term, value in zip(terms, coefficient, strict=True):
+    for term, value in zip(model.terms, model.coefficient, strict=True):
         if term.order and term.kind in columns:
             column, unit = columns[term.kind]
             by_angle[:, column] += unit * value * wave(term, angle)

@@ -33,24 +33,23 @@ class ForceModel:
     scales: Array = field(default_factory=lambda: np.ones((2, KIND_COUNT, 2)) * (1.0, 0.0))
     limits: Array = field(default_factory=lambda: np.full((len(MotionKind), 2), np.inf))
 
-    @property
+    @cached_property
     def drive(self) -> MotorMap:
         """Torque at the shaft by current and rotor angle."""
         return drive_of(self.learned)
 
     def plant(self, sample_time: float) -> Plant:
         """Return the equations that a filter runs on, at a sample time, s."""
-        return plant_of(self.learned, sample_time)
+        return replace(self._plant, sample_time=sample_time)
 
-    @property
+    @cached_property
+    def _plant(self) -> Plant:
+        return plant_of(self.learned, 1.0)  # its maps take milliseconds, all behind a gap ask
+
+    @cached_property
     def uncertainty(self) -> Uncertainty:
         """Standard deviations of the errors of the equations."""
-        own, learned = self.deviations, self.learned
-        per_load = sum(
-            float(coefficient)
-            for term, coefficient in zip(learned.terms, learned.coefficient, strict=True)
-            if term.kind is Kind.LOAD_FRICTION and term.order == 0
-        )
+        own, per_load = self.deviations, self.learned.total(Kind.LOAD_FRICTION)
         relative = own.load / per_load if per_load > 0 else 0.0
         return Uncertainty(own.stroke, relative, own.noise, own.noise_time)
 

@@ -18,7 +18,7 @@ import numpy as np
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.distinct_cogging import distinct_cogging
-from rigtool.experiments.force_model.model import Known, Shape, Sizes, Term, terms_for
+from rigtool.experiments.force_model.model import Kind, Known, Shape, Sizes, Term, terms_for
 from rigtool.experiments.force_model.records import SLIDING_COUNT_RATE, Record, bristle_scale
 from rigtool.experiments.force_model.sliding_problem import (
     SLIDING_PARAMETERS,
@@ -67,6 +67,11 @@ class LearnedModel:
     coefficient: Array
     covariance: Array
     length_u: Array
+
+    def total(self, kind: Kind) -> float:
+        """Return the sum of the coefficients of a kind's terms that no angle modulates."""
+        own = zip(self.terms, self.coefficient, strict=True)
+        return sum(float(value) for term, value in own if term.kind is kind and not term.order)
 
 
 @dataclass(frozen=True, eq=False)

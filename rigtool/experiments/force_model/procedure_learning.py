@@ -81,8 +81,7 @@ def exploring(recipe: Recipe, number: int = 0) -> SpeedProfile:
     rig, settings = recipe.rig, recipe.ilc_learn
     high = math.radians(recipe.measure_force.angle) * rig.angle_ratio
     fastest = 2 * math.pi * rig.angle_ratio * min(FREE_SPEED, max(settings.speeds_rev_per_s))
-    count = 2 * math.pi / rig.encoder_counts
-    return exploration(0.0, high, count, fastest, FREE_TIME, number)
+    return exploration(0.0, high, rig.count_angle, fastest, FREE_TIME, number)
 
 
 @dataclass(frozen=True)
@@ -309,7 +308,7 @@ def _condition(recipe: Recipe, kt: Run, temperature: float, force: float) -> Loa
         torque_per_ampere_at(kt, temperature).value,
         force * rig.load_arm,
         force * rig.load_arm**2 / STANDARD_GRAVITY,
-        2 * math.pi / rig.encoder_counts,
+        rig.count_angle,
         rig.sample_time / 2,
     )
 

@@ -16,12 +16,12 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_filter.encoder_angle import interpolated
 from rigtool.experiments.force_model.paths import bristle
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.decimation import block_means
 from rigtool.numerics.moves import rising_crossings
 from rigtool.numerics.steady_mean import steady_mean
 
@@ -86,7 +86,7 @@ class Record:
     interval: float
     angle: Array
     current: Array
-    trusted: NDArray[np.bool_]
+    trusted: Mask
     torque_constant: float
     moment: float
     load_inertia: float
@@ -159,12 +159,10 @@ class Record:
         return lowpassed_rows(signals, self.interval)
 
     @cached_property
-    def used(self) -> NDArray[np.bool_]:
+    def used(self) -> Mask:
         """Rows (rows,) that count."""
         place = np.arange(self.count) * (self.angle.size / self.count)
-        used: NDArray[np.bool_] = self.trusted[
-            np.minimum(place.astype(np.intp), self.angle.size - 1)
-        ]
+        used: Mask = self.trusted[np.minimum(place.astype(np.intp), self.angle.size - 1)]
         if not self.periodic:
             time = place * self.interval
             used = used & (time >= END_TIME) & (time <= self.angle.size * self.interval - END_TIME)
@@ -269,7 +267,8 @@ def _thinned(
 ) -> tuple[Array, Array, Array, float]:
     """Return means of samples, `GRID_HZ` a second or as many as there are."""
     by = max(1, round(1 / (GRID_HZ * interval)))
-    return _means(encoder, by), _means(current, by), _means(setpoint, by), interval * by
+    encoder, current, setpoint = (block_means(one, by) for one in (encoder, current, setpoint))
+    return encoder, current, setpoint, interval * by
 
 
 def _within(means: Array, place: Array, apart: float) -> Array:
@@ -293,12 +292,6 @@ def _within(means: Array, place: Array, apart: float) -> Array:
     return found
 
 
-def _means(signal: Array, by: int) -> Array:
-    """Return means of every `by` samples."""
-    size = len(signal) // by
-    return signal[: size * by].reshape(size, by).mean(axis=1)
-
-
 def bristle_scale(way: float, count: float) -> float:
     """Return about the length of a short bristle, rad, from motion over a way, rad.
 
@@ -319,7 +312,7 @@ def _doublings(times: float) -> int:
 
 def _sliding(
     angle: Array, setpoint_speed: Array, interval: float, count: float, periodic: bool
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Return where the rotor slides (n,): fast enough, and far enough from its last turn.
 
     More slowly, the loop nudges the rotor from count to count, and its motion within them is

@@ -20,7 +20,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.encoder_angle import interpolated
 from rigtool.experiments.force_filter.estimate import Signals
@@ -218,7 +217,7 @@ class Holder:
         return np.where(held, whole[:, last], signals)
 
 
-def unbroken(steps: Array, good: NDArray[np.bool_], interval: float) -> list[slice]:
+def unbroken(steps: Array, good: Mask, interval: float) -> list[slice]:
     """Return the stretches in which no sample is missing and all are good, from the steps of time
     (n - 1,) s between samples, and which are good, (n,)."""
     follows = np.abs(steps - interval) <= interval / 2

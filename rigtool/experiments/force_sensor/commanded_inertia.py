@@ -35,7 +35,7 @@ from rigtool.experiments.force_sensor.unknown_inertia import (
     UnknownInertia,
     changes_of_speed,
 )
-from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.arrays import Array, Mask, joined
 from rigtool.numerics.lowpass import lowpass
 
 REACH_TIME, POINTS = 0.15, 61
@@ -101,10 +101,7 @@ class CommandedTurns:
 def commanded_inertia(parts: Sequence[CommandedTurns]) -> UnknownInertia | None:
     """Return what the turns of stretches show, the larger of both signs; None where they are slow,
     may be chance or are not alike, or their torques are, in the mean, no more than errors."""
-    acceleration, u, windows = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("acceleration", "u", "windows")
-    )
+    acceleration, u, windows = joined(parts, "acceleration", "u", "windows")
     found, certain, over_u = [], 0.0, 0.0
     for side in (acceleration > 0, acceleration < 0):
         if side.sum() < FEWEST_TURNS:

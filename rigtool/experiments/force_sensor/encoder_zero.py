@@ -44,7 +44,7 @@ from rigtool.experiments.force_sensor.unknown_friction import (
     FEWEST_CELLS,
     Passes,
 )
-from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.arrays import Array, Mask, joined
 
 FARTHEST, PLACES, PARTS = 0.5, 43, 4
 """Largest o, in the learned range of angles, and part of the cells that were then not learned: with
@@ -111,8 +111,7 @@ def encoder_zero(
     Torques of the passes are those before another power-up's ripple was taken off; `reach` rad is
     the learned range of angles. Torque that drives a pass with more than `hand` N m is a hand's.
     """
-    direction = np.concatenate([part.direction for part in parts])
-    torque = np.vstack([part.torque for part in parts])
+    direction, torque, doubt = joined(parts, "direction", "torque", "u")
     speed = np.vstack([np.broadcast_to(part.speed, part.torque.shape) for part in parts])
     if hand is not None:
         torque = np.where(direction[:, None] * torque >= -hand, torque, np.nan)
@@ -125,7 +124,7 @@ def encoder_zero(
     chosen = np.sort(np.concatenate([one[at.round().astype(int)] for one, at in every]))
     direction, torque, speed = direction[chosen], torque[chosen], speed[chosen]
     search = _Search(model, reach, direction, torque, speed)
-    doubted = DOUBTED * float(np.nanmedian(np.vstack([part.u for part in parts])))
+    doubted = DOUBTED * float(np.nanmedian(doubt))
     places, odds, unmoved = _tried(search, reach[1] - reach[0])
     mean = float(odds @ places)
     moved, u = count * round(mean / count), math.sqrt(odds @ (places - mean) ** 2)

@@ -34,6 +34,7 @@ from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.force_model.contacts import JUMP_WINDOW, LEVEL_MEMORY, Contact
 from rigtool.experiments.force_sensor.results_over_time import ROWS_PER_PERIOD, TorqueRows
 from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.plateaus import runs_of
 
 LET_GO_TIME = 0.2
 """Time without a torque, s, after which another contact begins: fingers tap five times a second."""
@@ -123,13 +124,13 @@ class _Shown:
         beside = sure.copy()
         for contact in contacts:
             beside[contact.rows(self.every)] = False
-        for begin, end in _runs(beside):
+        for begin, end in runs_of(beside):
             if end - begin >= self._size(LET_GO_TIME):
                 yield Contact(begin * self.every, UNSEEN, (end - 1) * self.every)
 
     def _let_go(self, nothing: Mask) -> int:
         """Return the end of the last run of at least `LET_GO_TIME`; 0 without one."""
-        long = (end for begin, end in _runs(nothing) if end - begin >= self._size(LET_GO_TIME))
+        long = (end for begin, end in runs_of(nothing) if end - begin >= self._size(LET_GO_TIME))
         return max(long, default=0)
 
     def started(self, contact: Contact, within: slice) -> Place:
@@ -177,9 +178,3 @@ def _passed(torque: Array, row: int, level: float) -> float:
     here, there = torque[row], torque[min(row + 1, len(torque) - 1)]
     passes = (here > level) != (there > level)
     return row + (float((level - here) / (there - here)) if passes else 0.0)
-
-
-def _runs(mask: Mask) -> list[tuple[int, int]]:
-    """Return where runs of a mask begin and end."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-    return list(zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True))

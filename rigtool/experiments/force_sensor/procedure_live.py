@@ -1,6 +1,8 @@
 """Force over time while samples arrive: the causal form of `procedure_reading`, block by block.
 
-A row is what the table `force` has as its causal columns, digit for digit.
+A row is what the table `force` has as its causal columns, digit for digit, but for what a whole
+recording shows: faults of signals, what notes add to u. Where counts leap after a rest, the filter
+begins anew.
 """
 
 from __future__ import annotations
@@ -66,7 +68,6 @@ class LiveForce:
     def _begin(self, time: float) -> None:
         self._sensor = Sensor(self._instrument, context=False, before=self._power_up)
         self._power_up = self._sensor.power_up
-        self._counts = self._instrument.counts(self._counts.lost)
         self._began, self._steps = time - self._instrument.interval / 2, 0
 
     def __call__(self, block: Mapping[str, Array]) -> dict[str, Array]:
@@ -90,8 +91,14 @@ class LiveForce:
             if not part.shape[1]:
                 continue
             if span.start > 0 or not known:
+                self._counts = self._instrument.counts(self._counts.lost)
                 self._begin(float(part[0, 0]))
-            rows.append(self._rows(np.vstack([self._counts.add(part[1]), part[2:]])))
+            part = np.vstack([part[0], self._counts.add(part[1]), part[2:]])
+            for number, piece in enumerate(np.split(part, self._counts.shown, axis=1)):
+                if number:  # a rotor that leaps there would read as a torque
+                    self._begin(float(piece[0, 0]))
+                if piece.shape[1]:
+                    rows.append(self._rows(piece[1:]))
         if samples.shape[1]:
             self._last = time[-1:] if good[-1] else np.zeros(0)
         names = ("time", "torque", "u", "low", "high", "state")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -59,16 +60,10 @@ def path_from_start(recipe: Recipe, seconds: float) -> tuple[float | None, Motio
         time = np.arange(periods * SINE_PIECES + 1) / (SINE_PIECES * own.frequency_hz)
         speed = high * math.pi * own.frequency_hz * np.sin(2 * math.pi * own.frequency_hz * time)
         return 0.0, SpeedProfile(tuple(time.tolist()), tuple(speed.tolist()))
-    stroke = Triangle(
-        low=0.0,
-        high=high,
-        speed=2 * math.pi * settings.speed_rev_per_s * ratio,
-        turn_angle=math.radians(settings.turn_angle) * ratio,
-        cycles=1,
-    )
+    fastest = recipe.rig.motor_speed(settings.speed_rev_per_s)
+    stroke = Triangle.of_output(settings.angle, settings.turn_angle, ratio, fastest, 1)
     require_time(0.0, stroke.duration, own.time_max)
-    cycles = math.ceil(seconds / stroke.duration)
-    return 0.0, Triangle(stroke.low, stroke.high, stroke.speed, stroke.turn_angle, cycles)
+    return 0.0, replace(stroke, cycles=math.ceil(seconds / stroke.duration))
 
 
 def path(time: Array, angle: Array) -> SpeedProfile:

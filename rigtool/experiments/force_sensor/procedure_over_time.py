@@ -171,7 +171,7 @@ def _zero(
     read: Sequence[Recorded], recipe: Recipe, model: ForceModel, reach: Reach, *, observed: bool
 ) -> EncoderZero | None:
     """Return the zero that the encoder has, where the recordings show that it is another one."""
-    count, hand = 2 * math.pi / recipe.rig.encoder_counts, largest_friction(model, observed)
+    count, hand = recipe.rig.count_angle, largest_friction(model, observed)
     passes = [part.passes[1] for r in read for part in r.parts]
     return encoder_zero(passes, model, reach.angle, count, hand) if passes else None
 

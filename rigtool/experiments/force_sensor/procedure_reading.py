@@ -15,11 +15,12 @@ from rigtool.experiments.force_filter.motion_states import Reach
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.steps import Holder, unbroken
 from rigtool.experiments.force_sensor.power_up.power_up import PowerUp
+from rigtool.experiments.force_sensor.power_up.ripple_rows import least_row_time
 from rigtool.experiments.force_sensor.results_over_time import TorqueRows
 from rigtool.experiments.force_sensor.results_recordings import Recorded
 from rigtool.experiments.force_sensor.sensor import SensorProperties
 from rigtool.experiments.force_sensor.signal_faults import SignalWatch
-from rigtool.experiments.force_sensor.stretch import Stretch, shortest_stretch
+from rigtool.experiments.force_sensor.stretch import Stretch
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, rising_steps
@@ -67,13 +68,12 @@ def instrument_of(
     rig = recipe.rig
     cold = torque_per_ampere_at(kt, 0.0).value
     slope = torque_per_ampere_at(kt, 1.0).value - cold
-    count = 2 * math.pi / rig.encoder_counts
     return SensorProperties(
         model,
         reach,
         interval,
         rig.sample_time,
-        count,
+        rig.count_angle,
         (cold, slope),
         rig.current_limit,
         recipe.measure_force.motion.corner_hz,
@@ -159,14 +159,14 @@ def unbroken_blocks(
     missing before them.
 
     Samples with NaN are left out, but where `holder` holds the current; a reference and a set point
-    may be NaN. Of what lies between two gaps and is too short to be analysed, no sample is yielded:
-    thousands of filters would begin for nothing.
+    may be NaN. Of what lies between two gaps and is too short for a row of ripple, no sample is
+    yielded: thousands of filters would begin for nothing.
     """
     optional = filter(recording.has, (REFERENCE_CHANNEL, SETPOINT_CHANNEL))
     names = (*NEEDED_CHANNELS, *optional)
     grid, interval = instrument.grid, instrument.interval
     piece = max(1, round(PIECE_STEPS * grid.step_time / interval))
-    shortest = shortest_stretch(instrument.corner_hz) - 2 * grid.step_time
+    shortest = least_row_time(grid.step_time)
     before, number = np.zeros(0), 0
     for block in recording.blocks(*names, finite=False, size=BLOCK):
         samples = np.array(block)

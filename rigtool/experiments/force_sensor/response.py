@@ -19,7 +19,7 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, Mask
 
 SEGMENT_TIME = 1.0
 """Of a segment, s: a Hann window resolves 2 Hz."""
@@ -51,14 +51,15 @@ class Spectra:
     count: int
 
     @classmethod
-    def of(cls, torque: Array, reference: Array, valid: NDArray[np.bool_], rate: float) -> Spectra:
+    def of(cls, torque: Array, reference: Array, valid: Mask, rate: float) -> Spectra:
         """Return the sums of signals (m,) of a rate, Hz; segments that are not all valid do not
         count."""
         size = round(SEGMENT_TIME * rate)
         frequency: Array = np.fft.rfftfreq(size, 1 / rate).astype(np.float64)
         kept = frequency <= HIGHEST_HZ
         window = np.hanning(size)
-        found = cls.none(frequency[kept])
+        zero = np.zeros(np.count_nonzero(kept))
+        found = cls(frequency[kept], zero, zero, zero.astype(np.complex128), 0)
         firsts = range(0, len(torque) - size + 1, size // 2)
         whole = [first for first in firsts if valid[first : first + size].all()]
         for some in range(0, len(whole), TOGETHER):
@@ -71,12 +72,6 @@ class Spectra:
             cross = (np.conj(acted) * read).sum(axis=0)
             found = found.added(cls(found.frequency, *sums, cross, len(rows)))
         return found
-
-    @classmethod
-    def none(cls, frequency: Array) -> Spectra:
-        """Return the sums over no segment."""
-        zero = np.zeros(len(frequency))
-        return cls(frequency, zero, zero, zero.astype(np.complex128), 0)
 
     def added(self, other: Spectra) -> Spectra:
         """Return the sums over both."""

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from statistics import NormalDist
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,7 @@ from rigtool.experiments.force_sensor.response import Spectra, amplitude_bandwid
 from rigtool.experiments.force_sensor.signal_faults import SignalFault
 from rigtool.experiments.force_sensor.unknown_friction import Passes
 from rigtool.experiments.force_sensor.unknown_inertia import Turns
-from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.arrays import Array, Mask, joined
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table
 
@@ -92,12 +91,9 @@ class TorqueRows:
         first = parts[0]
         if len(parts) == 1:
             return first
-        together: dict[str, Any] = {
-            name: np.concatenate([getattr(part, name) for part in parts]) for name in FORCE_SIGNALS
-        }
-        for name in ("reference", "causal_reference"):
-            if getattr(first, name) is not None:
-                together[name] = np.concatenate([getattr(part, name) for part in parts])
+        references = "reference", "causal_reference"
+        names = *FORCE_SIGNALS, *(one for one in references if getattr(first, one) is not None)
+        together = dict(zip(names, joined(parts, *names), strict=True))
         return replace(first, **together, limited=sum(part.limited for part in parts))
 
 
@@ -142,9 +138,7 @@ def over_time_tables(
     return results, tables
 
 
-def _results(
-    whole: TorqueRows, known: NDArray[np.bool_], read: float, lost: float
-) -> dict[str, Quantity]:
+def _results(whole: TorqueRows, known: Mask, read: float, lost: float) -> dict[str, Quantity]:
     share = float(known.mean()) * read / (read + lost)
     results = {"valid_share": Quantity(share, "1", reason="counted")}
     if known.any():
@@ -196,12 +190,12 @@ def peak(torque: Array, u: Array) -> tuple[float, float]:
 def _table(
     rows: Sequence[TorqueRows],
     whole: TorqueRows,
-    known: NDArray[np.bool_],
+    known: Mask,
     number: NDArray[np.intp],
     corner_hz: float,
     load_arm: float | None,
 ) -> Table:
-    def valid(values: Array, where: NDArray[np.bool_] = known) -> Array:
+    def valid(values: Array, where: Mask = known) -> Array:
         return np.where(where, values, np.nan)
 
     so_far = whole.causal_states != State.OUTSIDE

@@ -186,9 +186,7 @@ def _doubt_notes(parts: Sequence[TorqueRows]) -> list[str]:
     ]
 
 
-def _notes(
-    recordings: Sequence[Recorded], known: NDArray[np.bool_], reach: Reach, scales: Array
-) -> list[str]:
+def _notes(recordings: Sequence[Recorded], known: Mask, reach: Reach, scales: Array) -> list[str]:
     low, high = reach.angle
     named = [*((s, STATE_NAMES[s]) for s in JUDGED_STATES), (CREEPING_KIND, "creeping")]
     factors = ", ".join(

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.creeping import Creeping
 from rigtool.experiments.force_filter.estimate import Estimate, Filter, Signals
@@ -29,7 +28,7 @@ from rigtool.experiments.force_filter.motion_states import (
     State,
     States,
 )
-from rigtool.experiments.force_filter.plant import HOUSING, SPEED
+from rigtool.experiments.force_filter.plant import HOUSING, SPEED, Plant
 from rigtool.experiments.force_filter.smoothed import Again
 from rigtool.experiments.force_filter.swinging import LEAST_SWING, TAKEN_VARIANCE, Swinging
 from rigtool.experiments.force_model.force_model import ForceModel
@@ -65,6 +64,11 @@ class SensorProperties:
         return FilterSteps.of(self.interval, self.loop_time)
 
     @cached_property
+    def plant(self) -> Plant:
+        """The filter's equations, at its sample time."""
+        return self.model.plant(self.grid.sample_time)
+
+    @cached_property
     def open_variances(self) -> Array:
         """Variance of the torque that friction leaves open, N2 m2, (4, kinds), by `Judged.holding`
         and the kind of motion: that of a rectangle.
@@ -75,7 +79,7 @@ class SensorProperties:
         rotor that crawls after a reversal passes one count. The motor of a loop takes up what it
         sees: where its rotor rests, a load hides as far as friction changes within a count.
         """
-        plant = self.model.plant(self.grid.sample_time)
+        plant = self.plant
         bearings, housing = plant.static, plant.housing_friction
         slope = bearings / plant.presliding_angle
         if housing > 0:
@@ -89,8 +93,7 @@ class SensorProperties:
     @cached_property
     def creeping_torque(self) -> float:
         """Friction that a bent bristle carries while the rotor creeps, N m on the output."""
-        plant = self.model.plant(self.grid.sample_time)
-        return plant.torque_factor * (plant.static + plant.housing_friction)
+        return self.plant.torque_factor * (self.plant.static + self.plant.housing_friction)
 
     def least_variances(
         self, holding: Holding, kinds: States, unbent: Array, swing: Array, held: Mask
@@ -128,24 +131,21 @@ class SensorProperties:
     @cached_property
     def least_swing(self) -> float:
         """Variance of a torque that does not swing, N2 m2: `swinging`."""
-        factor, u = self.model.plant(self.grid.sample_time).torque_factor, self.model.uncertainty
+        factor, u = self.plant.torque_factor, self.model.uncertainty
         return (LEAST_SWING * factor * (u.stroke + u.friction_noise)) ** 2
 
-    def limited(self, current: Array) -> NDArray[np.bool_]:
+    def limited(self, current: Array) -> Mask:
         """Return where a current (n,) A is at its limit."""
         return np.abs(current) >= AT_THE_LIMIT * self.current_limit
 
     def filter(self, uncertainty: Uncertainty) -> Filter:
         """Return the filter for samples that begin without a gap."""
-        grid = self.grid
-        plant = self.model.plant(grid.sample_time)
-        return Filter(plant, uncertainty, grid.step_samples, self.corner_hz)
+        return Filter(self.plant, uncertainty, self.grid.step_samples, self.corner_hz)
 
     def again(self) -> Again:
         """Return the filter whose steps are smoothed, for the same samples."""
-        grid = self.grid
-        plant, u = self.model.plant(grid.sample_time), self.model.uncertainty
-        return Again(plant, u, grid.step_samples, self.corner_hz)
+        u = self.model.uncertainty
+        return Again(self.plant, u, self.grid.step_samples, self.corner_hz)
 
     def judge(self, *, causal: bool) -> Judge:
         """Return the judge of states."""
@@ -212,7 +212,7 @@ class Sensor:
         )
         self._judge = instrument.judge(causal=True)
         self._before: Moments | None = None
-        length = model.plant(grid.sample_time).housing_presliding_angle
+        length = instrument.plant.housing_presliding_angle
         self._creeping = Creeping(instrument.count, length, grid.step_time)
         self._swinging = Swinging(instrument.least_swing, grid.step_time)
 

@@ -41,6 +41,7 @@ from rigtool.experiments.force_filter.lost_counts import COUNTING_TIME, LEAP_RAT
 from rigtool.experiments.force_model.steps import NO_CURRENT
 from rigtool.experiments.force_sensor.sensor import SensorProperties
 from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.plateaus import runs_of
 
 WINDOW_TIME = 20e-3
 
@@ -103,8 +104,7 @@ class SignalWatch:
         loop: LoopAnswer = NO_ANSWER,
         before: SignalWatch | None = None,
     ) -> None:
-        own, reach = instrument, instrument.reach
-        plant = own.model.plant(own.grid.sample_time)
+        own, reach, plant = instrument, instrument.reach, instrument.plant
         most = float(np.abs(plant.friction_map[:, 0]).max()) + abs(plant.housing_asymmetry)
         friction = plant.static * (1 + abs(plant.asymmetry)) + plant.housing_friction * most
         load_friction = plant.load_friction + float(plant.friction_map[:, 1].max())
@@ -328,8 +328,8 @@ class SignalWatch:
             "rotor moves, and at no other: it was cut off there, and the torque is wrong; raise "
             "the limit of the drive or of what records it, move slower, or against less"
         )
-        for first, last in np.flatnonzero(np.diff(at, prepend=False, append=False)).reshape(-1, 2):
-            yield SignalFault(*self._times(int(first), int(last)), text, self._commanded)
+        for first, last in runs_of(at):
+            yield SignalFault(*self._times(first, last), text, self._commanded)
             text = ""
 
     def _times(self, first: int, last: int) -> tuple[float, float]:
@@ -340,6 +340,5 @@ class SignalWatch:
 def _runs(values: Array, same: Mask) -> Iterator[tuple[int, int]]:
     """Yield first and last + 1 of the windows, two at least, with `same` and equal values (n,)."""
     goes_on = same[1:] & same[:-1] & (values[1:] == values[:-1])
-    edges = np.flatnonzero(np.diff(goes_on, prepend=False, append=False))
-    for first, last in edges.reshape(-1, 2).tolist():
+    for first, last in runs_of(goes_on):
         yield first, last + 1

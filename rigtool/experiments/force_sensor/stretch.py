@@ -221,10 +221,10 @@ class Stretch:
         referred = "reference" in self._found
         self.add(np.empty((4 if referred else 3, 0)), last=True)
         self._settle()
-        give_back()
         step_time, every = self._instrument.grid.step_time, self._every
         if (self._steps + 2) * step_time < shortest_stretch(self._instrument.corner_hz):
             return []
+        give_back()
         self.seconds = self._steps * step_time
         contacts = self._contacts()
         give_back()
@@ -325,7 +325,7 @@ class Stretch:
         rows, N m, and what of their u^2 is by that ripple, N2 m2."""
         instrument, every = self._instrument, self._every
         torque, angle, less = (self._taken(name) for name in ("torque", "angle", "less"))
-        factor = instrument.model.plant(instrument.grid.sample_time).torque_factor
+        factor = instrument.plant.torque_factor
         again, added, variances = self._sensor.power_up.again(), [], []
         for first in range(0, len(torque), PIECE_STEPS):
             part = slice(first, first + PIECE_STEPS)

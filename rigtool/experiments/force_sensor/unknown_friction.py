@@ -43,7 +43,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.arrays import Array, Mask, joined
 
 ANGLE_CELLS = 24
 """Parts of the learned angle."""
@@ -174,8 +174,8 @@ def unknown_friction(
     limit = 4 * max(whole, bare) - 2 * whole
     wide = float(np.sqrt(np.mean(np.minimum(np.abs([up, down]), limit) ** 2)))
     typical = float(np.abs(np.median(opposing / size)))
-    direction = np.concatenate([part.direction for part in parts])
-    known = np.isfinite(np.vstack([part.torque for part in parts]))[:, shown]
+    direction, torque = joined(parts, "direction", "torque")
+    known = np.isfinite(torque)[:, shown]
     passes = min(int(np.median(known[direction == sign].sum(axis=0))) for sign in (1.0, -1.0))
     return UnknownFriction(whole, wide, whole / usual, typical, passes)
 
@@ -220,8 +220,7 @@ def _shown(every: Array) -> Mask:
 def _cells(parts: Sequence[Passes], hand: float | None) -> Array:
     """Return torques N m of either direction that nothing touches, and u, in each cell (CELLS, 3);
     NaN where passes show none, u as well where they are too few."""
-    direction = np.concatenate([part.direction for part in parts])
-    torque, u = (np.vstack([getattr(part, name) for part in parts]) for name in ("torque", "u"))
+    direction, torque, u = joined(parts, "direction", "torque", "u")
     if hand is not None:
         torque = np.where(direction[:, None] * torque >= -hand, torque, np.nan)
     found = np.full((ANGLE_CELLS, 3), np.nan)

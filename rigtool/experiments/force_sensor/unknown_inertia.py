@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.arrays import Array, Mask, joined
 from rigtool.numerics.lowpass import lowpass
 
 SHOWN_HZ, SLOW_HZ, LONGEST_STEP = 8.0, 2.5, 0.011
@@ -103,14 +103,6 @@ def _behind(corner_hz: float, step_time: float, angle: Array, torque: Array) -> 
     return np.gradient(np.gradient(angle, step_time), step_time), shown
 
 
-def _weighted_median(squares: Array, products: Array) -> float:
-    """Return the median of products over squares (n,), of which each weighs by its square."""
-    order = np.argsort(products / squares)
-    sums = np.cumsum(squares[order])
-    at = order[np.searchsorted(sums, sums[-1] / 2)]
-    return float(products[at] / squares[at])
-
-
 @dataclass(frozen=True)
 class UnknownInertia:
     """An `inertia` at the output that was not learned, kg m2, and the `torque` that it takes at the
@@ -124,10 +116,8 @@ def unknown_inertia(parts: Sequence[Turns]) -> UnknownInertia | None:
     """Return what the turns of stretches show, the larger of both signs; None where their torques
     are no more than errors, not in proportion to the acceleration, or where half of all changes of
     speed show less than half of it, or less than `SLOW_PART` behind the lower low-pass."""
-    acceleration, inertia, u, passing, slow = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("acceleration", "inertia", "u", "passing", "slow")
-    )
+    names = "acceleration", "inertia", "u", "passing", "slow"
+    acceleration, inertia, u, passing, slow = joined(parts, *names)
     found = []
     for side in (acceleration > 0, acceleration < 0):
         if side.sum() < FEWEST_TURNS:
@@ -139,5 +129,7 @@ def unknown_inertia(parts: Sequence[Turns]) -> UnknownInertia | None:
         found.append(UnknownInertia(float(np.median(inertia[side])), float(np.median(torque))))
     largest = max(found, key=lambda one: one.torque)
     every = np.median(np.concatenate([inertia, passing]))
-    turns = _weighted_median(*slow.T) > SLOW_PART * largest.inertia
+    squares, products = slow.T
+    slowly = np.quantile(products / squares, 0.5, weights=squares, method="inverted_cdf")
+    turns = slowly > SLOW_PART * largest.inertia
     return largest if turns and every > largest.inertia / 2 else None

@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.numerics.arrays import TINY, Array, Mask
+from rigtool.numerics.arrays import TINY, Array, Mask, joined
 from rigtool.numerics.checks import require_rising, require_signals
+from rigtool.numerics.plateaus import runs_of
 from rigtool.numerics.settling import settled_from
 
 STEADY_ACCELERATION = 1e-3
@@ -161,8 +162,7 @@ def find_holds(
 
 def pool(parts: list[Holds]) -> Holds:
     """Return the holds of several recordings as one."""
-    names = Holds.__dataclass_fields__
-    return Holds(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    return Holds(*joined(parts, *Holds.__dataclass_fields__))
 
 
 def _steady_stretches(time: Array, setpoint: Array) -> list[tuple[int, int]]:
@@ -176,8 +176,7 @@ def _steady_stretches(time: Array, setpoint: Array) -> list[tuple[int, int]]:
     change |= (np.diff(time)[1:] > 1.5 * np.median(np.diff(time))) | (
         np.abs(speed[1:]) < AT_REST * highest
     )
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], change, [True]]).astype(np.int8)))
-    return [(int(a), int(b) + 2) for a, b in edges.reshape(-1, 2)]
+    return [(first, last + 2) for first, last in runs_of(~change)]
 
 
 def _hold(

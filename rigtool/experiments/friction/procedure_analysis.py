@@ -155,7 +155,7 @@ def analyse(
 
 
 def _angle(recording: Recording, recipe: Recipe) -> Array:
-    return recording.read("encoder") * (2 * np.pi / recipe.rig.encoder_counts)
+    return recording.read("encoder") * recipe.rig.count_angle
 
 
 def _find_holds(recording: Recording, recipe: Recipe, scale: Scale) -> Holds:
@@ -171,7 +171,7 @@ def _find_holds(recording: Recording, recipe: Recipe, scale: Scale) -> Holds:
         torque=controller_torque(recording, scale.value, asked),
         setpoint=recording.read("position_setpoint") if followed else None,
         inertia=recipe.rig.nominal_inertia,
-        count=2 * np.pi / recipe.rig.encoder_counts,
+        count=recipe.rig.count_angle,
     )
     # Twice the variance: both directions are rounded to the same steps and err alike, so that the
     # mean of the two is no better than each.

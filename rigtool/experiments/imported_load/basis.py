@@ -25,6 +25,7 @@ from rigtool.errors import InsufficientDataError
 from rigtool.experiments.imported_load.noise import EffortNoise
 from rigtool.numerics.arrays import TINY, Array, Mask
 from rigtool.numerics.checks import require_rising, require_signals
+from rigtool.numerics.decimation import block_means
 from rigtool.numerics.lowpass import lowpass
 
 WORK_RATE = 5
@@ -142,12 +143,6 @@ class Scales:
     def lengths(self) -> tuple[float, ...]:
         """Lengths of pre-sliding in the unit of position."""
         return tuple(part * (self.high - self.low) for part in PRESLIDING_LENGTHS)
-
-
-def block_means(values: Array, size: int) -> Array:
-    """Return means of `size` samples each of values (n,): a first, coarse low-pass."""
-    count = len(values) // size
-    return values[: count * size].reshape(count, size).mean(axis=1)
 
 
 def path_of(

@@ -16,6 +16,7 @@ from rigtool.experiments.imported_load.noise import noise_of
 from rigtool.experiments.torque_per_ampere import effort_of
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.checks import require_rising
+from rigtool.numerics.plateaus import runs_of
 from rigtool.numerics.smoothing import resample
 from rigtool.runfile import Recording, Run
 
@@ -156,8 +157,7 @@ def until_reversal(lost: Mask, time: Array, path: ShaftPath) -> Mask:
     `lost` (m,) marks gaps at `time` (m,).
     """
     period, found = 1 / path.bandwidth_hz, np.zeros(len(path.time), dtype=np.bool_)
-    edges = np.flatnonzero(np.diff(lost, prepend=False, append=False)).tolist()
-    for first, last in zip(edges[::2], edges[1::2], strict=True):
+    for first, last in runs_of(lost):
         if time[last - 1] - time[first] > period:
             start, end = np.searchsorted(path.time, [time[first], time[last - 1] + period])
             way = np.sign(path.speed[end:])

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
@@ -43,14 +42,14 @@ from rigtool.experiments.imported_load.region import (
 from rigtool.experiments.imported_load.side import (
     INTERVAL_COVERAGE,
     Fit,
-    HeldOut,
     Numbers,
     Rows,
     effort_scale_of,
     groups_for,
 )
-from rigtool.numerics.arrays import Array, Mask
+from rigtool.numerics.arrays import Array, Mask, joined
 from rigtool.numerics.jackknife import standard_uncertainty
+from rigtool.numerics.plateaus import group_numbers
 
 MAX_FOLDS = 10
 """Parts into which levels are put that are left out together, at most."""
@@ -122,12 +121,9 @@ def level_numbers(values: Sequence[float], apart: float = MIN_LEVEL_DISTANCE) ->
     sizes = np.abs(np.asarray(values, dtype=np.float64))
     if np.ptp(sizes) <= ONE_LEVEL * float(sizes.max(initial=0.0)):
         return [0] * len(sizes)
-    order = np.argsort(sizes, kind="stable")
-    gaps = np.diff(sizes[order])
-    levels = np.empty(len(order), dtype=int)
-    gap = max(float(gaps.max()) / 4, apart * float(sizes.max(initial=0.0)))
-    levels[order] = np.concatenate([[0], np.cumsum(gaps > gap)])
-    return [int(level) for level in levels]
+    widest = float(np.diff(np.sort(sizes)).max())
+    gap = max(widest / 4, apart * float(sizes.max(initial=0.0)))
+    return group_numbers(sizes, gap).tolist()
 
 
 def levels_of(signals: Sequence[LoadSignals]) -> list[int]:
@@ -164,8 +160,8 @@ def learn_load_model(
         for fit, own in zip(fits, rows, strict=True)
     ]
     sides, held = [side for side, _ in found], [out for _, out in found]
-    torque, speed, place, recording = _both(rows, "torque", "speed", "place", "recording")
-    error, within, u, resolved, slope = _both(held, "error", "within", "u", "resolved", "slope")
+    torque, speed, place, recording = joined(rows, "torque", "speed", "place", "recording")
+    error, within, u, resolved, slope = joined(held, "error", "within", "u", "resolved", "slope")
     direction = resisted_direction(rows, float(np.mean(slope)))
     spacing = float(np.ptp(torque)) / (levels - 1)
     if levels == 2:
@@ -217,11 +213,6 @@ def _bend(sides: Sequence[Side]) -> float:
     one, other = sides
     grown = abs(one.slope - other.slope) / 2 * abs(one.levels[-1] - one.levels[0])
     return float(grown / math.sqrt(3))
-
-
-def _both(parts: Sequence[Rows] | Sequence[HeldOut], *names: str) -> list[NDArray]:
-    """Return values of both directions, one behind the other."""
-    return [np.concatenate([getattr(part, name) for part in parts]) for name in names]
 
 
 def resisted_direction(rows: Sequence[Rows], slope: float) -> int:

@@ -134,5 +134,4 @@ def _changing(place: Array, rising: Mask, torque: Array) -> Array:
         dof += np.maximum(count - 1, 0)
         parts += 1 / np.maximum(count, 1)
     usual = squares.sum() / max(dof.sum(), 1)
-    found: Array = parts * np.where(dof > 0, squares / np.maximum(dof, 1), usual)
-    return found
+    return parts * np.where(dof > 0, squares / np.maximum(dof, 1), usual)

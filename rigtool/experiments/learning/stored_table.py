@@ -277,7 +277,7 @@ def _require_reach(tables: Run, recipe: Recipe) -> None:
                 f"{tables.path}: holds nothing for the {name} direction: learn both directions"
             )
     ratio = recipe.rig.angle_ratio
-    speed = 2 * math.pi * settings.speed_rev_per_s * ratio
+    speed = recipe.rig.motor_speed(settings.speed_rev_per_s)
     fastest = min(abs(table.speed[0]), abs(table.speed[-1]))
     if speed > fastest * (1 + 1e-9):
         raise RunFileError(
@@ -288,7 +288,7 @@ def _require_reach(tables: Run, recipe: Recipe) -> None:
         math.radians(angle) * ratio
         for angle in (settings.turn_angle, settings.angle - settings.turn_angle)
     )
-    count = 2 * math.pi / recipe.rig.encoder_counts
+    count = recipe.rig.count_angle
     if table.period is None and (
         table.position[0] > low + count or table.position[-1] < high - count
     ):

@@ -36,7 +36,7 @@ from rigtool.experiments.force_model.sliding_problem import (
     ROWS_PER_INDEPENDENT_ROW,
     SLIDING_PARAMETERS,
 )
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, Mask
 
 GROWING = (Kind.GAIN_RIPPLE, Kind.SQUARE_RIPPLE)
 
@@ -54,6 +54,10 @@ class Left:
     design: Array
     own: Array
     scattered: float
+
+    def at(self, used: Mask) -> Left:
+        """Return these at some of the rows (r,)."""
+        return Left(self.rows[used], self.design[:, used], self.own[:, used], self.scattered)
 
 
 def another_power_up(model: LearnedModel, records: Sequence[Left]) -> float:

@@ -132,17 +132,6 @@ class _Explained:
 
 
 @dataclass(frozen=True, eq=False)
-class _Zero:
-    """Without load, at rows: what a model leaves (rows,), N m, its derivatives (p, rows), and what
-    the recording has of its own (3, rows); the variance of the rows by scatter, N2 m2."""
-
-    left: Array
-    design: Array
-    own: Array
-    scattered: float
-
-
-@dataclass(frozen=True, eq=False)
 class _Found:
     """A load M, N m; readings of cycles with and without it; the probability `another` of another
     power-up, at which it is uncertain by `ripple_u`."""
@@ -171,7 +160,7 @@ def read_loads(
     next is what all cycles of these pairs show together; those without load, which several pairs
     have in common, count once.
     """
-    zeros: dict[int, _Zero] = {}
+    zeros: dict[int, Left] = {}
     found: list[_Found | InsufficientDataError] = []
     for pair in pairs:
         key = id(pair.unloaded)
@@ -216,7 +205,7 @@ def _require_sliding(record: Record) -> None:
         )
 
 
-def _zero(model: LearnedModel, pair: LoadedPair) -> _Zero:
+def _zero(model: LearnedModel, pair: LoadedPair) -> Left:
     """Return what the model leaves without load, at the rows of the pair."""
     count, used = pair.loaded.count, pair.loaded.used
     each = [_Explained.of(model, record) for record in pair.unloaded]
@@ -224,7 +213,7 @@ def _zero(model: LearnedModel, pair: LoadedPair) -> _Zero:
     own = _at(_own(each[0].state), count)
     fitted = np.linalg.qr(own[:, used].T)[0]
     scattered = [_scattered(record, pair.loaded, fitted) for record in pair.unloaded]
-    return _Zero(left, _at(each[0].design(), count), own, sum(scattered) / len(scattered) ** 2)
+    return Left(left, _at(each[0].design(), count), own, sum(scattered) / len(scattered) ** 2)
 
 
 def _scattered(record: Record, at: Record, fitted: Array) -> float:
@@ -250,14 +239,14 @@ def _at(rows: Array, count: int) -> Array:
 def _find(
     model: LearnedModel,
     pair: LoadedPair,
-    zero: _Zero,
+    zero: Left,
     largest: float,
     angle: float,
     bandwidth_hz: float,
 ) -> _Found:
     loaded, used = pair.loaded, pair.loaded.used
     explained = _Explained.of(model, loaded)
-    shown = loaded.rows(measured(loaded, model.known)) - zero.left
+    shown = loaded.rows(measured(loaded, model.known)) - zero.rows
 
     def expected(moment: float) -> Array:
         return explained.under(moment, pair.arm)
@@ -291,7 +280,7 @@ def _find(
     misfit = math.sqrt(max(rms**2 - scattered, 0.0) + hidden)
     remaining = there.left()[used]
     parts = (
-        Left(zero.left[used], zero.design[:, used], zero.own[:, used], zero.scattered),
+        zero.at(used),
         Left(remaining, design[:, used], np.vstack([slope[used], own]), own_scatter),
     )
     return _Found(

@@ -113,7 +113,7 @@ def rising_load(tables: Run, recipe: Recipe, model: LearnedModel, added: Array) 
 
     settings, ratio = recipe.measure_force, recipe.rig.angle_ratio
     position = math.radians(settings.measure_angle)
-    speed = 2 * math.pi * settings.speed_rev_per_s * ratio
+    speed = recipe.rig.motor_speed(settings.speed_rev_per_s)
     carried = added + model.shape.tip_friction
     loads = np.append(carried, model.shape.tip_friction)
 

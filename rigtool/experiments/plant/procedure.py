@@ -35,6 +35,7 @@ from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at, warmed
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import rising_steps
+from rigtool.numerics.plateaus import runs_of
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig
@@ -110,7 +111,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run | None = None) -> Ou
             experiments.append(experiment)
             speeds.append(speed)
         constants.append(constant)
-    count = 2 * math.pi / recipe.rig.encoder_counts
+    count = recipe.rig.count_angle
     response = frequency_response(experiments, lines, sample_time, count)
     free = recipe.rig.attachment == "pulley"
     fit = fit_plant(response, sample_time, recipe.rig.nominal_inertia, tendon=not free)
@@ -156,7 +157,7 @@ def _experiments(recording: Recording, recipe: Recipe, torque_constant: float) -
     with naming(recording):
         rising_steps(recording.read("time"))
         _require_unlimited(asked, recording.read("signal_current"), recipe)
-    angle = recording.read("encoder") * (2 * math.pi / recipe.rig.encoder_counts)
+    angle = recording.read("encoder") * recipe.rig.count_angle
     signals = (
         torque_constant * recording.read("signal_current"),
         torque_constant * asked,
@@ -189,13 +190,12 @@ def _period_starts(steps: Array, step: float, settle: int, period: int) -> list[
     shorter by these two.
     """
     constant = np.abs(steps - step) < 1e-4 * abs(step)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], constant, [False]]).astype(np.int8)))
     starts: list[int] = []
-    for first, stop in edges.reshape(-1, 2):
+    for first, stop in runs_of(constant):
         count = (stop - first - settle + EDGE_STEPS) // period
         free = stop - first - count * period
         last = stop - max(0, min(free // 2, free - settle))
-        starts += [int(last) - k * period for k in range(count, 0, -1)]
+        starts += [last - k * period for k in range(count, 0, -1)]
     return starts
 
 

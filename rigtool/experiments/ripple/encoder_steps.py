@@ -63,8 +63,7 @@ def step_orders(
         sampling = Sampling(recorded.step, averaged)
         found = coefficients(recorded.waveforms(revolutions), orders, sampling).mean(axis=0)
         power += np.abs(found) ** 2 / len(PHASES)
-    rms: Array = np.sqrt(power)
-    return rms
+    return np.sqrt(power)
 
 
 def _smooth(passed: Array, cycles: int) -> Array:
@@ -73,5 +72,4 @@ def _smooth(passed: Array, cycles: int) -> Array:
     late = np.fft.rfft((passed - even)[:-1])
     late[cycles + 1 :] = 0.0
     even[:-1] += np.fft.irfft(late, passed.size - 1)
-    times: Array = np.maximum.accumulate(even)
-    return times
+    return np.maximum.accumulate(even)

@@ -36,8 +36,7 @@ def shaken_orders(found: Sequence[Collected], held: Sequence[Array]) -> Array:
     most = int(np.argmax(square))
     mean = held[most].mean(axis=0)[None]
     (largest,) = np.abs(coefficients(mean, HIGHEST_ORDER, found[most].sampling))
-    orders: Array = np.outer(shaken / max(square[most], TINY), largest) / np.sqrt(3)
-    return orders
+    return np.outer(shaken / max(square[most], TINY), largest) / np.sqrt(3)
 
 
 def shaken_note(torques: Sequence[Recording], found: Sequence[Collected]) -> list[str]:

@@ -135,7 +135,7 @@ def _followed_steps(recipe: Recipe, turns_per_s: float) -> float:
     whole = np.round(per_sample)
     answer = np.abs(_loop(recipe, np.abs(per_sample - whole) / rig.sample_time))
     followed = harmonic[(whole > 0) & (answer >= LOWEST_FOLLOWED)]
-    step = 2 * math.pi / rig.encoder_counts
+    step = rig.count_angle
     return step / math.sqrt(6) / int(followed[0]) if followed.size else 0.0
 
 

@@ -97,8 +97,7 @@ def uneven_orders(ripple: LoopRipple, orders: int) -> Array:
     mean = ripple.durations.mean(axis=0)
     uneven = mean.mean() / mean - 1
     parts = np.stack([ripple.friction_change * uneven, ripple.mean / np.sqrt(3) * uneven])
-    found: Array = np.linalg.norm(coefficients(parts, orders, ripple.sampling), axis=0)
-    return found
+    return np.linalg.norm(coefficients(parts, orders, ripple.sampling), axis=0)
 
 
 def motor_orders(

@@ -43,8 +43,7 @@ def clamping_angles(temperatures_degc: tuple[float, ...], positions: int) -> Arr
     place = np.argsort(np.argsort(temperatures_degc, kind="stable"))
     place = np.minimum(place, temperatures - 1 - place)
     shift = place[:, None] / ((temperatures + 1) // 2)
-    angles: Array = 2 * np.pi * (np.arange(positions) + shift) / positions
-    return angles
+    return 2 * np.pi * (np.arange(positions) + shift) / positions
 
 
 def _apart(temperatures_degc: tuple[float, ...], positions: int) -> Array:

@@ -29,7 +29,7 @@ import numpy as np
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.current_points import Points
 from rigtool.experiments.torque_constant.staircases.model import SAME_TEMPERATURE
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, joined
 from rigtool.numerics.residual_covariance import independent_samples
 from rigtool.quantity import REFERENCE_DEGC
 
@@ -103,9 +103,7 @@ def fit_constant(runs: Sequence[Points]) -> CurrentFit:
 
     Raises `InsufficientDataError` where they do not carry a constant.
     """
-    current, torque = (
-        np.concatenate([getattr(run, n) for run in runs]) for n in ("current", "torque")
-    )
+    current, torque = joined(runs, "current", "torque")
     zeros = np.repeat(np.eye(len(runs)), [len(run.current) for run in runs], axis=0)
     temperature = _of_all(runs, "temperature")
     speed = _of_all(runs, "speed")
@@ -202,8 +200,7 @@ def _probability(fits: Sequence[_Fit], volume: Array) -> Array:
     misfit = np.array([fit.misfit for fit in fits])
     best = fits[int(np.argmin(misfit))]
     weight = volume * (misfit / misfit.min()) ** (-best.independent / 2)
-    probability: Array = weight / weight.sum()
-    return probability
+    return weight / weight.sum()
 
 
 @dataclass(frozen=True, eq=False)

@@ -89,7 +89,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe) -> Outcome:
 
 def _plateaus(run: Run, recipe: Recipe) -> Plateaus:
     recording = run.recording(STAIRCASE)
-    count = 2 * np.pi / recipe.rig.encoder_counts
+    count = recipe.rig.count_angle
     return plateaus_of_set_point(
         time=recording.read("time"),
         current_setpoint=recording.read("current_setpoint"),

@@ -85,7 +85,7 @@ class VirtualRig(Rig):
     @property
     def position(self) -> float:
         """Angle shown by the encoder, rad."""
-        count = 2 * math.pi / self._rig.encoder_counts
+        count = self._rig.count_angle
         angle, speed = (float(self._state[name][0]) for name in ("angle", "speed"))
         return math.floor((angle - self._rig.sample_time / 2 * speed) / count) * count
 

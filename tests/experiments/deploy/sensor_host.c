@@ -5,11 +5,17 @@
 static struct rigtool_sensor sensor;
 
 void sensor_begin(void);
+void sensor_gap(void);
 int sensor_run(int count, const double *samples, double *readings);
 
 void sensor_begin(void)
 {
     rigtool_sensor_init(&sensor);
+}
+
+void sensor_gap(void)
+{
+    rigtool_sensor_gap(&sensor);
 }
 
 /* Samples of encoder, current and temperature in, readings of torque, u, low, high and state out. */

@@ -30,7 +30,7 @@ from rigtool.numerics.compiled import compiled_allocating as machine_code
 from tests.experiments.force_filter.plants import PLANT, UNCERTAINTY
 
 HOST = Path(__file__).with_name("sensor_host.c")
-STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 INTERVAL, COUNTS, CONSTANT = 125e-6, 4000, (0.046, -4e-5)
 WIDTH = 2 * math.pi / COUNTS
 WARM = 27.0
@@ -147,6 +147,9 @@ class CSensor:
     def __init__(self, path):
         self._library = ctypes.CDLL(str(path))
         self._library.sensor_begin()
+
+    def gap(self):
+        self._library.sensor_gap()
 
     def begin(self):
         self._library.sensor_begin()

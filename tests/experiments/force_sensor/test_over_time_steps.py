@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_filter.motion_states import KIND_COUNT, Reach, State
 from rigtool.experiments.force_model.steps import Holder
+from rigtool.experiments.force_sensor.power_up.ripple_rows import least_row_time
 from rigtool.experiments.force_sensor.procedure_reading import _interval, unbroken_blocks
 from rigtool.experiments.force_sensor.response import (
     MAX_AMPLITUDE_U,
@@ -26,7 +27,6 @@ from rigtool.experiments.force_sensor.results_over_time import (
 )
 from rigtool.experiments.force_sensor.results_recordings import Recorded, _contact_notes, _notes
 from rigtool.experiments.force_sensor.signal_faults import SignalFault
-from rigtool.experiments.force_sensor.stretch import shortest_stretch
 from tests.experiments.deploy.sensors import instrument
 
 STEP = 5e-3
@@ -224,7 +224,7 @@ def stored(seed, size=30_000, interval=1e-3, referred=True):
         time[at:] += rng.choice([0.4, 0.6, 30.0]) * interval
     names = ("encoder", "current_setpoint", "temperature", *(["reference_torque"] * referred))
     channels = {"time": time, **{name: rng.standard_normal(size) for name in names}}
-    channels["encoder"][rng.integers(0, size, 4)] = np.nan
+    channels["encoder"][[*rng.integers(0, size, 4), 9000, 9006, 9020]] = np.nan
     channels["current_setpoint"][[700, size // 2, size // 2 + 1]] = np.nan
     if referred:
         channels["reference_torque"][::7] = np.nan
@@ -236,7 +236,7 @@ def stored(seed, size=30_000, interval=1e-3, referred=True):
 @pytest.mark.parametrize("seed", range(5))
 def test_blocks_hold_all_that_has_no_gap_and_is_long_enough(seed, referred):
     """A stretch ends at half a sample more and at NaN in what the torque is read from; one that
-    lies between two gaps within a block and is shorter than what is analysed is left out."""
+    lies between two gaps within a block and is too short for a row of ripple is left out."""
     own = instrument(interval=1e-3, loop_time=1e-3)
     recording = stored(seed, referred=referred)
     channels = np.array([*recording.channels.values()])
@@ -252,7 +252,7 @@ def test_blocks_hold_all_that_has_no_gap_and_is_long_enough(seed, referred):
         if good[k]:
             now.append(k)
     stretches.append(now)
-    shortest = shortest_stretch(own.corner_hz) / 1e-3 - 2 * own.grid.step_time / 1e-3
+    shortest = least_row_time(own.grid.step_time) / 1e-3
     edges = np.cumsum(recording.lengths)
     found, current = [], None
     for block, begins in unbroken_blocks(recording, own, holder := Holder(1e-3)):

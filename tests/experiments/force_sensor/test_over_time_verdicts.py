@@ -288,7 +288,7 @@ def test_a_zero_that_is_found_once_more_was_another_thing(monkeypatch, again, mo
     monkeypatch.setattr(module, "of_this_instrument", judged)
     monkeypatch.setattr(module, "force_outcome", lambda *_: Outcome({}, {}, ("own",)))
     model, rig = SimpleNamespace(scales=[1.0], limits=2.0), SimpleNamespace(load_arm=0.02)
-    rig.encoder_counts = 4000
+    rig.count_angle = 2 * math.pi / 4000
     recipe = SimpleNamespace(rig=rig)
     tables = SimpleNamespace(recipe=recipe, path="tables.h5")
     found = module.analyse_over_time([run], recipe, kt=None, tables=tables)

@@ -437,6 +437,34 @@ def test_gaps_and_samples_without_value_begin_anew(rig, strokes, live, tmp_path)
     np.testing.assert_array_equal(rows["time"], table["time"][:size])
 
 
+def test_the_ripple_that_a_stretch_too_short_shows_counts_behind_it(rig, strokes, live, tmp_path):
+    def twice(signals):
+        kept = [slice(18000), slice(18080, 30000), slice(30080, None)]
+        return {n: np.concatenate([v[part] for part in kept]) for n, v in signals.items()}
+
+    path, signals = changed(rig, tmp_path, twice)
+    found = run(MEASURE_FORCE, path, tmp_path / "again.h5", kt=KT, tables=rig.tables)
+    table, rows = found.tables["force"], rows_of(live(), signals, [])
+    there = np.isin(rows["time"], table["time"])
+    assert 0 <= len(table["time"]) - there.sum() <= 2
+    assert 250 < (~there).sum() < 300  # of the stretch that the table does not have
+    np.testing.assert_array_equal(rows["torque"][there], table["causal_torque"][: there.sum()])
+
+
+def test_a_stream_begins_anew_where_counts_leap_after_a_rest(rig, strokes, live):
+    signals = signals_of(rig.folder / "strokes.h5")
+    signals["encoder"][20000:20400] = signals["encoder"][20000]
+    signals["encoder"][20400:] += 300
+    leap = signals["time"][20400]
+    whole = rows_of(live(), signals, [])
+    behind = (whole["time"] > leap) & (whole["time"] < leap + LIMIT_TIME)
+    assert behind.sum() >= 19
+    assert np.isnan(whole["torque"][behind]).all()
+    for edges in ([20400], [20399, 20401], range(7, 64000, 517)):
+        rows = rows_of(live(), signals, edges)
+        np.testing.assert_array_equal(rows["torque"], whole["torque"][: len(rows["torque"])])
+
+
 def test_a_clock_that_is_off_loses_no_sample(rig, strokes, tmp_path):
     def drifting(signals):
         time = signals["time"]
@@ -449,11 +477,13 @@ def test_a_clock_that_is_off_loses_no_sample(rig, strokes, tmp_path):
     assert not any("missing" in note for note in found.notes)
 
 
-def test_what_is_too_short_between_gaps_begins_no_filter(rig, strokes, tmp_path, monkeypatch):
+def test_what_is_too_short_for_a_row_between_gaps_begins_no_filter(
+    rig, strokes, tmp_path, monkeypatch
+):
     def riddled(signals):
         signals["current_setpoint"] = signals["current_setpoint"].copy()
         for first in range(9):  # longer than a current holds
-            signals["current_setpoint"][first::100] = np.nan
+            signals["current_setpoint"][first::80] = np.nan
         return signals
 
     begun = []

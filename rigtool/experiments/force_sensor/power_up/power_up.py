@@ -84,7 +84,7 @@ from rigtool.experiments.force_sensor.power_up.ripple_rows import (
     row_steps,
 )
 from rigtool.experiments.force_sensor.power_up.shown_ripple import show
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.compiled import compiled, compiled_allocating
 
 OF_THE_FILTER = (
@@ -209,7 +209,7 @@ class PowerUp:
         driven = np.ascontiguousarray(np.column_stack([drive, taken]))
         return self._followed(self._state, angle, states[:, TORQUE], sliding, follows, driven)
 
-    def again(self) -> Callable[[Array, Array], tuple[Array, Array, Array]]:
+    def again(self) -> Callable[[Array, Array], tuple[Array, ...]]:
         """Return what gives them from all that was added, at its steps again, piece by piece: (m,)
         not low-passed, the variance that of the followed orders alone.
 
@@ -219,9 +219,8 @@ class PowerUp:
         state["waves"] = 0.0
         none = np.zeros(0, np.bool_), np.zeros((0, 0)), np.zeros((0, 3))
 
-        def piece(angle: Array, torque: Array) -> tuple[Array, Array, Array]:
-            ripple, variance, less, *_ = self._followed(state, angle, torque, *none)
-            return ripple, variance, less
+        def piece(angle: Array, torque: Array) -> tuple[Array, ...]:
+            return self._followed(state, angle, torque, *none)[:3]
 
         return piece
 
@@ -230,7 +229,7 @@ class PowerUp:
         state: NDArray[np.void],
         angle: Array,
         torque: Array,
-        sliding: NDArray[np.bool_],
+        sliding: Mask,
         follows: Array,
         drive: Array,
     ) -> tuple[Array, ...]:
@@ -273,7 +272,7 @@ def _follow(
     low_pass: Array,
     angle: Array,
     torque: Array,
-    sliding: NDArray[np.bool_],
+    sliding: Mask,
     follows: Array,
     drive: Array,
     found: Array,

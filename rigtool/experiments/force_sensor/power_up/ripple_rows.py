@@ -81,6 +81,11 @@ def row_steps(step_time: float) -> int:
     return max(1, round(ROW_TIME / step_time))
 
 
+def least_row_time(step_time: float) -> float:
+    """Return the time of the shortest row, s."""
+    return row_steps(step_time) // 2 * step_time
+
+
 def late_rows(step_time: float) -> int:
     """Return the rows of `LATE_TIME`."""
     return round(LATE_TIME / (row_steps(step_time) * step_time))

@@ -24,7 +24,7 @@ from rigtool.experiments.learning.implementations import a_one_speed as one_spee
 from rigtool.experiments.learning.implementations import bare_motor
 from rigtool.experiments.learning.implementations import c_limited_angle as limited_angle
 from rigtool.experiments.learning.procedure_design import design_filters
-from rigtool.experiments.learning.rows import Row
+from rigtool.experiments.learning.rows import Row, learned_rows
 from rigtool.experiments.learning.stored_table import (
     feedforward,
     friction_beside,
@@ -185,7 +185,9 @@ def _moved_rows(
         )
     rows: list[Row] = []
     for recording in recorded:
-        rows += limited_angle.rows(recording, recipe, torque_constant, learning, position)
+        count, speed = recipe.ilc_learn.moves, recording.condition("speed")
+        moves, _ = limited_angle.moves_of(recording, recipe, torque_constant, count)
+        rows += learned_rows(moves, speed, learning, position)
     return position, rows
 
 

@@ -17,7 +17,6 @@ from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import RunFileError
 from rigtool.experiments.controller_torque import LOOP_CHANNELS, naming
 from rigtool.experiments.learning.convergence import Cycles, learning_run
-from rigtool.experiments.learning.filters import Learning
 from rigtool.experiments.learning.implementations import signals as common
 from rigtool.experiments.learning.implementations.runs import (
     iterations_table,
@@ -146,7 +145,7 @@ class LimitedAngle(Implementation[TaughtMoves]):
 
     def _moves(self, recording: Recording, moves: int | None = None) -> tuple[Moves, Array]:
         count = self.recipe.ilc_learn.moves if moves is None else moves
-        return _moves(recording, self.recipe, self.torque_constant, count)
+        return moves_of(recording, self.recipe, self.torque_constant, count)
 
     def _cycles(self, moves: Moves, before: Array) -> Cycles:
         """Return moves as cycles, of which the part counts where the table is learned."""
@@ -222,7 +221,7 @@ def specs(
 ) -> list[RecordingSpec]:
     """Return recordings of moves to and fro at these speeds of the output, rev/s."""
     count = float(moves), "1"
-    speeds = [2 * math.pi * speed * recipe.rig.angle_ratio for speed in speeds_rev_per_s]
+    speeds = [recipe.rig.motor_speed(speed) for speed in speeds_rev_per_s]
     return [
         RecordingSpec(
             f"{kind}_{number:03d}",
@@ -240,18 +239,6 @@ def motion(recipe: Recipe, spec: RecordingSpec) -> Triangle:
     return Triangle.of_output(settings.angle, settings.turn_angle, ratio, speed, int(moves) + 1)
 
 
-def rows(
-    recording: Recording,
-    recipe: Recipe,
-    torque_constant: float,
-    learning: Learning,
-    position: Array,
-) -> list[Row]:
-    """Return the torque that one update learns at these positions, falling moves first."""
-    moves, _ = _moves(recording, recipe, torque_constant, recipe.ilc_learn.moves)
-    return learned_rows(moves, recording.condition("speed"), learning, position)
-
-
 def positions(recipe: Recipe, end_angle: float) -> Array:
     """Return the motor angles of all quad counts, rad, with `end_angle` left out at each end.
 
@@ -261,10 +248,10 @@ def positions(recipe: Recipe, end_angle: float) -> Array:
     per_degree = rig.angle_ratio * rig.encoder_counts / 360
     first = math.ceil(end_angle * per_degree)
     last = math.floor((settings.angle - end_angle) * per_degree)
-    return np.arange(float(first), last + 1) * (2 * math.pi / rig.encoder_counts)
+    return np.arange(float(first), last + 1) * rig.count_angle
 
 
-def _moves(
+def moves_of(
     recording: Recording, recipe: Recipe, torque_constant: float, moves: int
 ) -> tuple[Moves, Array]:
     """Cut a recording into moves of the controller's torque, and of the table's."""

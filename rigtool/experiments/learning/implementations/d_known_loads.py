@@ -64,13 +64,13 @@ ANGLE_STEP_DEG, POINTS_OF_LOAD = 5.0, 13
 
 
 def _loaded(recipe: Recipe) -> list[RecordingSpec]:
-    settings, ratio = recipe.ilc_learn.loads, recipe.rig.angle_ratio
+    settings = recipe.ilc_learn.loads
     return [
         RecordingSpec(
             f"{LOADED_PREFIX}_{row:03d}_{number:03d}",
             channels(*LOADED_CHANNELS),
             {
-                "speed": (2 * math.pi * speed * ratio, "rad/s"),
+                "speed": (recipe.rig.motor_speed(speed), "rad/s"),
                 "force": (force, "N"),
                 "cycles": (float(settings.cycles), "1"),
             },

@@ -82,9 +82,7 @@ def tendon_results(
 def inertia_notes(model: LearnedModel) -> Iterator[str]:
     """Yield a remark where the turns of strokes show an inertia that is two standard deviations of
     its prior off the stated one: they are not fitted as well as they could be."""
-    own = zip(model.terms, model.coefficient, strict=True)
-    error = sum(float(value) for term, value in own if term.kind is Kind.INERTIA)
-    stated = model.known.inertia
+    error, stated = model.total(Kind.INERTIA), model.known.inertia
     if abs(error) > 2 * INERTIA_SPREAD * stated:
         yield (
             f"the turns of strokes show an inertia of some {stated + error:.2g} kg m2 on the motor "

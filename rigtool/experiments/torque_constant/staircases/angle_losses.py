@@ -60,5 +60,4 @@ def hidden_loss(stairs: Stairs, warmed: LeastSquares, sigma: float) -> tuple[flo
 
 def _losses(warmed: LeastSquares) -> Array:
     """Return g of each staircase (m,), 1/(A2 s)."""
-    losses: Array = -warmed.own[:, 1] / warmed.own[:, 0]
-    return losses
+    return -warmed.own[:, 1] / warmed.own[:, 0]

@@ -144,8 +144,7 @@ def one_sided(state: Array, kept: Array, asymmetry: float) -> tuple[Array, Array
 def state_of(friction: Array, asymmetry: float) -> Array:
     """Return states z (..., p) within -1 to 1 whose friction is z (1 + A z)."""
     root = np.sqrt(np.maximum(1 + 4 * asymmetry * friction, 0.0))
-    state: Array = np.clip(2 * friction / (1 + root), -1.0, 1.0)
-    return state
+    return np.clip(2 * friction / (1 + root), -1.0, 1.0)
 
 
 def within_limits(asymmetry: float) -> float:

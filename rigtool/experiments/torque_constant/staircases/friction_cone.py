@@ -106,5 +106,4 @@ def begins_with(found: Array, u: Array, largest: float) -> Array:
     """
     mean, square = float(np.mean(found)), float(np.var(found))
     likely = max(1 - float(np.mean(u**2)) / max(square, TINY), 0.0)
-    begins: Array = np.clip((mean + likely * (found - mean)) / max(largest, TINY), -1.0, 1.0)
-    return begins
+    return np.clip((mean + likely * (found - mean)) / max(largest, TINY), -1.0, 1.0)

@@ -32,22 +32,19 @@ class LeastSquares:
         return np.einsum("mcp,mp->mc", self.inverse, rest), rest
 
     def _coefficients(self, torque: Array) -> Array:
-        found: Array = self.shared_cover @ np.einsum("mpc,mp->c", self._free, torque)
-        return found
+        return self.shared_cover @ np.einsum("mpc,mp->c", self._free, torque)
 
     def response(self, weight: Array) -> Array:
         """Return what each torque (m, p) adds to the sum of slopes weighted by (m,)."""
         direct = weight[:, None] * self.inverse[:, 0]
         through = self.shared_cover @ np.einsum("mp,mpc->c", direct, self._shared)
-        response: Array = direct - self._free @ through
-        return response
+        return direct - self._free @ through
 
 
 def left_by(columns: list[Array], torque: Array) -> Array:
     """Return what least squares leave of torques (g, p) by columns (g, p) of each kind."""
     q, _ = np.linalg.qr(np.stack(columns, axis=2))
-    rest: Array = torque - np.einsum("gpc,gc->gp", q, np.einsum("gpc,gp->gc", q, torque))
-    return rest
+    return torque - np.einsum("gpc,gc->gp", q, np.einsum("gpc,gp->gc", q, torque))
 
 
 def without_known(inverse: Array, found: Array, known: list[int], variance: Array | float) -> Array:
@@ -57,5 +54,4 @@ def without_known(inverse: Array, found: Array, known: list[int], variance: Arra
     cover = inverse[..., [0, *known], :] @ np.swapaxes(inverse[..., known, :], 2, 3)
     cover[..., -1, -1] += variance
     moved = np.linalg.solve(cover[..., 1:, :], found[..., known, None])
-    rest: Array = found[..., 0] - (cover[..., :1, :] @ moved)[..., 0, 0]
-    return rest
+    return found[..., 0] - (cover[..., :1, :] @ moved)[..., 0, 0]

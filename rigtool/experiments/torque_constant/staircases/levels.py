@@ -19,8 +19,7 @@ DEFLECTION_U = 0.02
 def lines_through(stairs: Stairs, values: Array) -> Array:
     """Return the slope (m,) of a straight line through values (m, p) over current, each over A."""
     off = (stairs.current - mean_of(stairs.current, stairs.weight)[:, None]) * stairs.weight
-    lines: Array = np.sum(off * values, axis=1) / np.sum(off**2, axis=1)
-    return lines
+    return np.sum(off * values, axis=1) / np.sum(off**2, axis=1)
 
 
 def off_trend(stairs: Stairs, rise: Array) -> Array:
@@ -28,8 +27,7 @@ def off_trend(stairs: Stairs, rise: Array) -> Array:
     the temperature, `rise` (m,) in K about the mean: relative, (m,)."""
     steep = lines_through(stairs, stairs.torque)
     steep = steep / steep.mean() - 1
-    rest: Array = steep - rise * float(rise @ steep) / max(float(rise @ rise), TINY)
-    return rest
+    return steep - rise * float(rise @ steep) / max(float(rise @ rise), TINY)
 
 
 def deflection(stairs: Stairs) -> tuple[float, float]:

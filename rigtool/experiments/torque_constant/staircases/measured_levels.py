@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.staircases.plateaus import LEVEL_TOLERANCE
 from rigtool.numerics.arrays import Array
-from rigtool.numerics.plateaus import find_plateaus
+from rigtool.numerics.plateaus import find_plateaus, group_numbers
 
 MAX_BLOCKS = 2000
 """Parts of a recording in which plateaus are looked for first."""
@@ -161,9 +161,5 @@ def stepped(current: Array, plateaus: Sequence[tuple[int, int]]) -> Array:
 
 def common_levels(level: Array) -> Array:
     """Return levels (n,) of which those within the tolerance of a set point are equal."""
-    order = np.argsort(level, kind="stable")
-    new = np.diff(level[order], prepend=-math.inf) > LEVEL_TOLERANCE * float(np.ptp(level))
-    number = np.empty(len(level), dtype=np.int64)
-    number[order] = np.cumsum(new) - 1
-    common: Array = (np.bincount(number, weights=level) / np.bincount(number))[number]
-    return common
+    number = group_numbers(level, LEVEL_TOLERANCE * float(np.ptp(level)))
+    return (np.bincount(number, weights=level) / np.bincount(number))[number]

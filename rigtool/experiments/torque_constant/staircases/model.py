@@ -142,8 +142,7 @@ def _course_noise(plateaus: Plateaus) -> float:
 
 def mean_of(values: Array, weight: Array) -> Array:
     """Return the weighted mean of each staircase (m,) of values (m, p)."""
-    mean: Array = np.sum(values * weight, axis=1) / np.sum(weight, axis=1)
-    return mean
+    return np.sum(values * weight, axis=1) / np.sum(weight, axis=1)
 
 
 def winding(stairs: Stairs, time_constant: float) -> tuple[Array, Array]:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from rigtool.errors import InsufficientDataError
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.checks import require_rising, require_signals
+from rigtool.numerics.plateaus import group_numbers
 
 LEVEL_TOLERANCE = 1e-3
 """Part of the span within which set points count as one level."""
@@ -196,8 +197,7 @@ def _noise(values: Array, number: NDArray[np.int64], settled: Mask) -> Array:
     within = settled[:-2] & (number[:-2] == number[2:])
     square = np.bincount(number[1:-1], weights=second**2 * within, minlength=number[-1] + 1)
     count = np.bincount(number[1:-1], weights=within, minlength=number[-1] + 1)
-    noise: Array = np.sqrt(square / np.maximum(count, 1) / 6)
-    return noise
+    return np.sqrt(square / np.maximum(count, 1) / 6)
 
 
 def _course(values: Array, start: NDArray[np.int64], stop: NDArray[np.int64]) -> Array:
@@ -206,8 +206,7 @@ def _course(values: Array, start: NDArray[np.int64], stop: NDArray[np.int64]) ->
     length = (stop - start)[:, None]
     edges = start[:, None] + length * np.linspace(0, 1, SWING_PARTS + 1)
     integral = np.interp(edges, np.arange(len(total)), total)
-    course: Array = np.diff(integral) * SWING_PARTS / length
-    return course
+    return np.diff(integral) * SWING_PARTS / length
 
 
 SINGLE_ROUNDING = 2.0**-23
@@ -247,10 +246,7 @@ def amplifier_linearity(plateaus: Plateaus) -> Linearity:
     uncertainty. Raises `InsufficientDataError` for fewer than 3 levels.
     """
     step = LEVEL_TOLERANCE * float(np.ptp(plateaus.current_setpoint))
-    order = np.argsort(plateaus.current_setpoint, kind="stable")
-    new = np.diff(plateaus.current_setpoint[order], prepend=-np.inf) > step
-    level = np.empty(len(order), dtype=np.int64)
-    level[order] = np.cumsum(new) - 1
+    level = group_numbers(plateaus.current_setpoint, step)
     count = np.bincount(level)
     if len(count) < 3:
         raise InsufficientDataError(

@@ -220,8 +220,7 @@ def _swing_changes(
 
 def _off(unit: Array, values: Array) -> Array:
     """Return values (m, ...) less what is in proportion to a vector (m,) of length 1."""
-    rest: Array = values - np.multiply.outer(unit, np.tensordot(unit, values, 1))
-    return rest
+    return values - np.multiply.outer(unit, np.tensordot(unit, values, 1))
 
 
 def _behind(swing: Array, torque: Array, lag: Array) -> Array:
@@ -326,8 +325,7 @@ def straight_path(courses: Courses) -> Array:
     """Return the path of an arm that friction hardly holds back, (1, g, p) N m: k times a step."""
     slope = np.ptp(courses.torque) / np.ptp(courses.setpoint)
     first = courses.setpoint[:, :1]
-    swing: Array = slope * np.diff(courses.setpoint, prepend=first)[None]
-    return swing
+    return slope * np.diff(courses.setpoint, prepend=first)[None]
 
 
 def friction_state(

@@ -84,8 +84,7 @@ class WindingTime:
 
     def of(self, logarithm: Array) -> Array:
         """Return the likelihood of logarithms of tau (k,)."""
-        within: Array = np.interp(logarithm, self.logarithm, self.likelihood)
-        return within
+        return np.interp(logarithm, self.logarithm, self.likelihood)
 
 
 def winding_time(stairs: Stairs) -> WindingTime:
@@ -116,8 +115,7 @@ def _likelihood(stairs: Stairs, those: Array, tau: Array) -> Array:
     free = np.linalg.qr(np.column_stack([own, passed.ravel()]))[0]
 
     def left(values: Array) -> Array:
-        rest: Array = values - (values @ free) @ free.T
-        return rest
+        return values - (values @ free) @ free.T
 
     shown = left(rows.ravel())
     warming = np.zeros((len(SENSOR_LAGS), len(tau), *rows.shape))
@@ -131,8 +129,7 @@ def _likelihood(stairs: Stairs, those: Array, tau: Array) -> Array:
     square, residual = _best_of(rest, shape)
     count = independent_samples(residual, np.full(len(residual), True), 1)
     count = max(count - free.shape[1] - 2, FEWEST_RESIDUALS)
-    likelihood: Array = np.mean((square / square.min()) ** (-count / 2), axis=(0, 1))
-    return likelihood
+    return np.mean((square / square.min()) ** (-count / 2), axis=(0, 1))
 
 
 def _best_of(shown: Array, shape: Array) -> tuple[Array, Array]:
@@ -148,8 +145,7 @@ def _best_of(shown: Array, shape: Array) -> tuple[Array, Array]:
 def _late(degc: Array, time: Array, tau: Array) -> Array:
     """Return by how much a winding lags behind temperatures (r, p) without noise, (n, r, p) K."""
     begin = degc[:, :1] - (degc[:, 1:2] - degc[:, :1]) / (time[1] - time[0]) * time[0]
-    lags: Array = _behind(degc - begin, time, tau[:, None]) - (degc - begin)
-    return lags
+    return _behind(degc - begin, time, tau[:, None]) - (degc - begin)
 
 
 def with_torque(

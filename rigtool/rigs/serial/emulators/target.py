@@ -260,7 +260,7 @@ class TargetEmulator(Emulator):
             if self.rig is None:
                 return self._clock, math.nan, math.nan, math.nan
             return self._clock, self.rig.position, self._current, self.rig.temperature
-        block, count = self._block, 2 * math.pi / self._recipe.rig.encoder_counts
+        block, count = self._block, self._recipe.rig.count_angle
         row = len(block["time"]) - 1 - (self._log.recorded - self._visible)
         names = ("time", "encoder", "current", "temperature")
         now, encoder, current, temperature = (float(block[name][max(0, row)]) for name in names)

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Term
 from rigtool.experiments.force_model.records import ROWS_HZ
 from rigtool.experiments.force_model.sliding_problem import SLIDING_PARAMETERS
@@ -168,9 +169,8 @@ def test_short_strokes_show_no_deviations():
 )
 def test_an_inertia_that_is_not_the_stated_one_has_a_note(error, shown):
     terms = Term(Kind.OFFSET, 1e-3), Term(Kind.INERTIA, 1e-6), Term(Kind.VISCOUS, 1e-3)
-    model = SimpleNamespace(
-        terms=terms, coefficient=(1.0, error, 1.0), known=Known(0.85, 1.2, 1e-5)
-    )
+    known, coefficient = Known(0.85, 1.2, 1e-5), np.array([1.0, error, 1.0])
+    model = LearnedModel(terms, None, known, coefficient, None, None)
     notes = list(inertia_notes(model))
     assert len(notes) == (shown is not None)
     assert all(shown in note and "identify-plant" in note for note in notes)

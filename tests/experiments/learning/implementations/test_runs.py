@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
-from rigtool.experiments.learning.check.procedure import _moved_rows
+from rigtool.experiments.learning.check import procedure
 from rigtool.experiments.learning.convergence import LearningRun
 from rigtool.experiments.learning.implementations import c_limited_angle, signals
 from rigtool.experiments.learning.implementations.runs import (
@@ -116,14 +116,16 @@ def test_moves_and_table_share_half_of_the_positions(monkeypatch, part, refused)
     recipe = load_recipe(RECIPE)[0]
     every = c_limited_angle.positions(recipe, recipe.ilc_learn.turn_angle)
     table = SimpleNamespace(position=every[: math.ceil(part * every.size)])
-    monkeypatch.setattr(c_limited_angle, "rows", lambda recording, *others: [recording])
+    recorded = [SimpleNamespace(condition=lambda name: 3.0) for _ in range(2)]
+    monkeypatch.setattr(c_limited_angle, "moves_of", lambda recording, *others: (recording, None))
+    monkeypatch.setattr(procedure, "learned_rows", lambda moves, *others: [moves])
     if refused:
         with pytest.raises(InsufficientDataError, match="check where it was learned"):
-            _moved_rows(["a", "b"], recipe, 0.05, None, table)
+            procedure._moved_rows(recorded, recipe, 0.05, None, table)
     else:
-        position, rows = _moved_rows(["a", "b"], recipe, 0.05, None, table)
+        position, rows = procedure._moved_rows(recorded, recipe, 0.05, None, table)
         np.testing.assert_array_equal(position, table.position)
-        assert rows == ["a", "b"]
+        assert rows == recorded
 
 
 @pytest.mark.parametrize(
