@@ -62,7 +62,7 @@ class ForceModel:
         rests are off by what is not known of it: n F u(A), n the torque factor, and
         u(A) = (1 - A^2) u(ln ratio) / 2 by the ratio of both directions.
         """
-        plant, place = self.plant(1.0), SLIDING_PARAMETERS.index("direction_ratio")
+        plant, place = self._plant, SLIDING_PARAMETERS.index("direction_ratio")
         friction = plant.coulomb + plant.housing_friction
         variance = float(self.learned.covariance[place, place])
         return (plant.torque_factor * friction * (1 - plant.asymmetry**2) / 2) ** 2 * variance

@@ -238,12 +238,11 @@ def reach_of(tables: Run, kt: Run) -> Reach:
     assert learned is not None  # `require_rig`
     own, rig = learned.ilc_learn, learned.rig
     calibrated = None if kt.recipe is None else kt.recipe.calibrate_kt.temperatures_degc
-    turn = 2 * math.pi * rig.angle_ratio
-    slow = [turn * speed for speed in own.loads.speeds_rev_per_s]
+    loaded = [rig.motor_speed(speed) for speed in own.loads.speeds_rev_per_s]
     return Reach(
         (0.0, math.radians(learned.measure_force.angle) * rig.angle_ratio),
-        turn * max(*own.speeds_rev_per_s, *own.loads.speeds_rev_per_s),
+        max(*loaded, *(rig.motor_speed(speed) for speed in own.speeds_rev_per_s)),
         max(own.loads.forces) * rig.load_arm,
         (-math.inf, math.inf) if calibrated is None else (min(calibrated), max(calibrated)),
-        CREEP_SPEED_RATIO * slowest_taught(slow, 2 * math.pi / rig.encoder_counts),
+        CREEP_SPEED_RATIO * slowest_taught(loaded, rig.count_angle),
     )
